@@ -306,10 +306,10 @@ def test_pure_packages_take_the_time_as_an_argument(package: str) -> None:
 def room_of(module: str) -> str:
     """The room of a module: its longest prefix in LAYERS, else its first folder.
 
-    The `command.py` of a verb is of the command line, whose frame it stands in.
+    The command of a verb is of the room of the command line, in whose frame it is.
     """
     parts = module.split(".")[1:]
-    if parts[:2] == ["operator", "verbs"] and parts[3:4] == ["command"]:
+    if parts[:2] == ["operator", "verbs"] and "command" in parts[3:]:
         return "operator/cli"
     prefixes = ("/".join(parts[:n]) for n in range(len(parts), 0, -1))
     return next((prefix for prefix in prefixes if prefix in HEIGHT), parts[0])

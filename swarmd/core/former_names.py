@@ -2,7 +2,7 @@
 
 `import` of a former name gives the same module, so that scripts, plugins and recordings of 0.2.0
 keep working. A new module has no former name, and is not listed: a row is a package that moved, or
-a module that left its package.
+a module of 0.2.0 that left its package.
 `swarmd/__init__.py` installs the finder, which Python asks before
 it looks for a file: in a package that moved it would find a second copy of the module.
 """
@@ -23,12 +23,13 @@ FORMER: Mapping[str, str] = {
     "swarmd.acceptance": "swarmd.operator.acceptance",
     "swarmd.calibration": "swarmd.operator.calibration",
     "swarmd.cli": "swarmd.operator.cli",
+    "swarmd.cli.incidents": "swarmd.operator.verbs.incidents.command",
+    "swarmd.cli.plugin_push": "swarmd.operator.verbs.push.command",
     "swarmd.client": "swarmd.operator.client",
     "swarmd.client.incidents": "swarmd.operator.verbs.incidents.ask",
     "swarmd.kin": "swarmd.robot.kin",
     "swarmd.network": "swarmd.link",
     "swarmd.network.operator": "swarmd.operator.session",
-    "swarmd.operator.client.incidents": "swarmd.operator.verbs.incidents.ask",
     "swarmd.protection": "swarmd.robot.protection",
     "swarmd.recording": "swarmd.daemon.recording",
     "swarmd.replay": "swarmd.operator.replay",
@@ -38,7 +39,7 @@ FORMER: Mapping[str, str] = {
     "swarmd.texts": "swarmd.operator.texts",
     "swarmd.view": "swarmd.operator.view",
 }
-"""By the former name of a package, or of a module that left its package, its present name."""
+"""By the former name of a package or a module, its present name."""
 
 
 def present_name(module: str) -> str:

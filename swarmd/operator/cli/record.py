@@ -15,14 +15,14 @@ from swarmd.operator.cli.output import fields, print_json, print_table, rewrite,
 from swarmd.operator.cli.record_merge import merge
 from swarmd.operator.cli.send import send_to, session_of
 from swarmd.operator.cli.targets import takes_targets
-from swarmd.operator.client.fetched_files import ask_of, code_of_fetch, fetch_files
 from swarmd.operator.client.targets import Targets, targets_of
 from swarmd.operator.texts.values import NOTHING, counted, megabytes, seconds
+from swarmd.operator.verbs.record.ask import ask_of, code_of_fetch, fetch_files
 
 if TYPE_CHECKING:
     from swarmd.core.verbs import RecordingFile, RecordingsReply
-    from swarmd.operator.client.fetched_files import Fetched
     from swarmd.operator.client.session import Session
+    from swarmd.operator.verbs.record.ask import Fetched
 
 
 @click.group(cls=VerbGroup)

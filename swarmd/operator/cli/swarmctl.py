@@ -54,18 +54,20 @@ Exit codes:
   7  all robots refused
   130  interrupted
   141  the reader of the output has ended, such as head"""
-COMMAND = "command"
 CLOSED_PIPE = 141
 """The exit code of a program that SIGPIPE ends."""
 STDERR = 2  # file descriptor
 
 
-def _verb(name: str, section: str, example: str, text: str, file: str = "") -> tuple[str, LazyVerb]:
+def _verb(
+    name: str, section: str, example: str, text: str, file: str = "", *, folder: str = ""
+) -> tuple[str, LazyVerb]:
     """A verb by name; `text`: its line of --help.
 
-    `file`: its module in `cli/`, by default its name; COMMAND: `command.py` of its own folder.
+    `folder`: its folder in `swarmd/operator/verbs`; without one, `file` is its module in
+    `swarmd/operator/cli`, by default its name.
     """
-    module = f"verbs.{name}.{file}" if file == COMMAND else f"cli.{file or name}"
+    module = f"verbs.{folder}.command" if folder else f"cli.{file or name}"
     place = f"swarmd.operator.{module}:{name}"
     return name, LazyVerb(place, text, section, f"swarmctl {name} {example}".rstrip())
 
@@ -105,7 +107,7 @@ VERBS = dict((
     _verb("record", RECORD, "start --all", "Record robots, and fetch their recordings."),
     _verb("incidents", RECORD, "fetch 3fa2",
           "List what went wrong, fetch the last minute of all robots, or mark an incident.",
-          COMMAND),
+          folder="incidents"),
     _verb("replay", RECORD, "tb3-01.mcap",
           "Repeat a recorded run without a robot, and compare its commands."),
     _verb("calibrate", RECORD, "tb3-01 --floor 2.5",

@@ -6,6 +6,7 @@ of the robot that tells them, and hide the words of no other robot.
 
 from __future__ import annotations
 
+import secrets
 import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -13,7 +14,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from msgspec import to_builtins
+from msgspec.structs import asdict
 
+from swarmd.core.bounds import MAX_REASON
 from swarmd.core.clock import FIRST_WALL
 from swarmd.core.errors import ConfigError, RequestError
 from swarmd.core.incident import Incident, IncidentKind, mark_part
@@ -21,17 +24,19 @@ from swarmd.core.verbs import (
     INCIDENTS,
     IncidentsReply,
     KeptIncident,
+    MarkRequest,
     RecordingFile,
     mark_text,
     shortened,
 )
 from swarmd.operator.client.ask_robots import ask_robots, in_reach
-from swarmd.operator.client.fetched_files import Fetched, OnBytes, fetch_files
 from swarmd.operator.session.exit_codes import NO_TARGET, code_of_answers
+from swarmd.operator.session.outcome import Outcome
+from swarmd.operator.verbs.record.ask import Fetched, OnBytes, fetch_files
 from swarmd.plugins import need
 
 if TYPE_CHECKING:
-    from swarmd.operator.client.session import Session
+    from swarmd.operator.client.session import Session, TargetedView
     from swarmd.operator.session.operator import Operator
 
 _SILENCE = (IncidentKind.SILENT, IncidentKind.STALL)
@@ -171,6 +176,28 @@ def fetch(
         session.tell(f"no file so far: {shortened(', '.join(awaited))}; fetch again in 10 s")
     failed = [*found.missing, *awaited]
     return fetch_files(session, files, failed, folder or Path("incidents", id), INCIDENT, on_bytes)
+
+
+class MarkOutcome(Outcome, frozen=True):
+    """The outcome of a mark; `incident`: the id that all robots keep it by."""
+
+    incident: str = ""
+
+
+def check_mark(words: str) -> None:
+    """ConfigError for words that no incident can have."""
+    if not isinstance(words, str):
+        raise ConfigError(f"words are {words!r}; expected a text")
+    if not words.strip() or len(words) > MAX_REASON:
+        wanted = f"WORDS have {len(words)} characters; expected 1 to {MAX_REASON}"
+        raise ConfigError(f"{wanted}, such as 'it hit the chair'")
+
+
+def mark(targeted: TargetedView, words: str) -> MarkOutcome:
+    """Begin an incident with these words on robots, which keep their last minute."""
+    id = secrets.token_hex(6)
+    outcome = targeted.request(MarkRequest, **mark_fields(targeted.operator, words, id))
+    return MarkOutcome(**asdict(targeted.counted(outcome)), incident=id)
 
 
 def mark_fields(operator: Operator, words: str, id: str) -> dict[str, Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import secrets
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -10,9 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from swarmd.core.bounds import MAX_REASON
 from swarmd.core.errors import ConfigError
-from swarmd.core.verbs import MarkRequest
 from swarmd.operator.cli import completion
 from swarmd.operator.cli.options import FOLDER, CommonOptions, Failure, VerbGroup, common_options
 from swarmd.operator.cli.output import line_width, print_json, print_table, warn
@@ -26,10 +23,11 @@ from swarmd.operator.verbs.incidents.ask import (
     Incidents,
     SwarmIncident,
     ask_incidents,
+    check_mark,
     incident_named,
-    mark_fields,
 )
 from swarmd.operator.verbs.incidents.ask import fetch as ask_fetch
+from swarmd.operator.verbs.incidents.ask import mark as ask_mark
 from swarmd.operator.verbs.incidents.words import DETAILS, HEADER, detail_rows, heads_of, rows_of
 from swarmd.plugins import need
 
@@ -156,16 +154,16 @@ def mark(options: CommonOptions, targets: Targets, words: str) -> None:
 
     It moves nothing.
     """
-    if not words.strip() or len(words) > MAX_REASON:
-        wanted = f"WORDS have {len(words)} characters; expected 1 to {MAX_REASON}"
-        raise click.UsageError(f"{wanted}, such as 'it hit the chair'")
-    id = secrets.token_hex(6)
+    try:
+        check_mark(words)
+    except ConfigError as error:
+        raise click.UsageError(str(error)) from error
     with asking(options, targets, needs_status=False) as asked:
-        fields = mark_fields(asked.targeted.operator, words, id)
-        outcome = asked.targeted.request(MarkRequest, **fields)
+        outcome = ask_mark(asked.targeted, words)
         if outcome.applied:
+            id = outcome.incident
             warn(f"incident {id}; after 10 s: swarmctl incidents fetch {id}")
-        asked.report(outcome, {"incident": id})
+        asked.report(outcome, {"incident": outcome.incident})
 
 
 def _asked(session: Session) -> Incidents:

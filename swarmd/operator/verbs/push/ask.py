@@ -5,7 +5,8 @@ from __future__ import annotations
 import hashlib
 import time
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple
@@ -14,8 +15,8 @@ from msgspec.structs import asdict
 from msgspec.structs import replace as with_fields
 
 from swarmd.core.clock import boottime
-from swarmd.core.errors import CodecError, ConfigError, PluginError, RequestError
-from swarmd.core.files import read_regular
+from swarmd.core.errors import CodecError, ConfigError, PluginError, RequestError, SwarmError
+from swarmd.core.files import as_text, read_regular
 from swarmd.core.keys import check_id
 from swarmd.core.pattern_manifest import (
     MAX_CODE,
@@ -168,8 +169,50 @@ def _wheel(code: bytes, label: str) -> Source:
 def _checked_size(code: bytes, path: Path) -> bytes:
     """The code; PluginError if it has too many bytes to be sent."""
     if len(code) > MAX_CODE:
-        raise PluginError(f"{path} has {len(code)} bytes; at most {MAX_CODE} (1 MiB) are sent")
+        raise _too_large(path, len(code))
     return code
+
+
+def _too_large(path: Path, size: int) -> PluginError:
+    return PluginError(f"{path} has {size} bytes; at most {MAX_CODE} (1 MiB) are sent")
+
+
+def source_at(file: str | Path) -> Source:
+    """As `read_source`; ConfigError in one line whatever the fault."""
+    if not isinstance(file, str | Path):
+        raise ConfigError(f"file is {file!r}; expected the path of a pattern")
+    with _in_one_line():
+        return read_source(Path(as_text(file)))
+
+
+def source_named(name: str, code: bytes, size: int) -> Source:
+    """The content of a file that another machine sent; ConfigError in one line for a fault.
+
+    `name`: of the file. `size`: bytes of the file there, of which more than MAX_CODE are not sent.
+    """
+    with _in_one_line():
+        path = Path(as_text(name).replace("\0", " "))
+        if size > MAX_CODE:
+            raise _too_large(path, size)
+        if len(code) != size:
+            raise PluginError(f"{path}: {len(code)} of {size} bytes came; choose the file again")
+        return source_of(code, path)
+
+
+@contextmanager
+def _in_one_line() -> Iterator[None]:
+    """In the block a fault of a file becomes a ConfigError of one line, as swarmctl prints it."""
+    try:
+        yield
+    except UnicodeEncodeError as error:  # the name of a file in a folder
+        as_text(error.object)
+        raise
+    except OSError as error:
+        cause = error.strerror or str(error)
+        text = cause if error.filename is None else f"{error.filename}: {cause}"
+        raise ConfigError(" ".join(text.split())) from error
+    except SwarmError as error:
+        raise ConfigError(" ".join(str(error).split())) from error
 
 
 def check_keys(settings: NetworkSettings, identity: Identity | None) -> None:
@@ -180,10 +223,9 @@ def check_keys(settings: NetworkSettings, identity: Identity | None) -> None:
         )
 
 
-def push_to(session: Session, push: Push, targets: Targets) -> PushOutcome:
+def push_to(push: Push, targeted: TargetedView, targets: Targets) -> PushOutcome:
     """Push to the targets. Errors as of `check_keys`, `choose_canaries` and `carry_out`."""
-    check_keys(session.operator.settings, session.operator.identity)
-    targeted = session.target(targets, needs_status=False)
+    check_keys(targeted.operator.settings, targeted.operator.identity)
     canaries = () if push.canary is None else choose_canaries(push.canary, targeted.names)
     return carry_out(push, targeted, targets, canaries)
 

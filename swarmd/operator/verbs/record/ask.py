@@ -1,4 +1,7 @@
-"""Copies of files of robots on this machine: recordings, and what robots keep of an incident."""
+"""Copies files of robots to this machine: recordings, and what robots keep of an incident.
+
+For `swarmctl`, the page and Python: no click, no printing.
+"""
 
 from __future__ import annotations
 
@@ -74,13 +77,15 @@ def fetch_files(
     """Copy files of robots into `folder`; a copy that was interrupted continues where it ended.
 
     `failed`: the robots that have failed before. `source`: None for recordings. RequestError if
-    there is nothing to fetch; SwarmError if a copy cannot be written: what came is kept.
+    there is nothing to fetch; SwarmError if a copy cannot be written, or if the caller no longer
+    waits: what came is kept.
     """
+    on_piece = _unless_cancelled(session, on_bytes)
     ask = ask_of(session)
     rows: list[FetchedFile] = []
     missing = list(failed)
     for robot, listed in files.items():
-        copies, is_complete = _copied(session, ask, robot, listed, folder, source, on_bytes)
+        copies, is_complete = _copied(session, ask, robot, listed, folder, source, on_piece)
         for copy in copies:
             state = copy.fault or ("whole" if copy.is_whole else "so far")
             rows.append(FetchedFile(robot, copy.path, copy.size, state))
@@ -89,6 +94,17 @@ def fetch_files(
     if not rows and not missing:
         raise RequestError(f"{', '.join(files)}: no recording to fetch", NO_TARGET)
     return Fetched(folder, tuple(rows), tuple(missing), code_of_fetch(files, missing))
+
+
+def _unless_cancelled(session: Session, on_bytes: OnBytes) -> OnBytes:
+    """As `on_bytes`; SwarmError once the caller no longer waits."""
+
+    def on_piece(robot: str, file: str, received: int, size: int) -> None:
+        if session.is_cancelled():
+            raise SwarmError("the fetch was cancelled; what came is kept, and a fetch continues it")
+        on_bytes(robot, file, received, size)
+
+    return on_piece
 
 
 def code_of_fetch(answered: Iterable[str], failed: Sequence[str]) -> int:
