@@ -33,6 +33,7 @@ from swarmd.operator.client.canary import choose_canaries
 from swarmd.operator.client.runs import goal_targets
 from swarmd.operator.session.exit_codes import PARTIAL, TIMEOUT
 from swarmd.operator.session.outcome import Outcome
+from swarmd.operator.texts.values import printable
 from swarmd.operator.verbs.push import words
 from swarmd.plugins import PATTERN_FILE, has_modules, parsed, pattern_file, pattern_name
 
@@ -210,9 +211,14 @@ def _in_one_line() -> Iterator[None]:
     except OSError as error:
         cause = error.strerror or str(error)
         text = cause if error.filename is None else f"{error.filename}: {cause}"
-        raise ConfigError(" ".join(text.split())) from error
+        raise ConfigError(_shown(text)) from error
     except SwarmError as error:
-        raise ConfigError(" ".join(str(error).split())) from error
+        raise ConfigError(_shown(str(error))) from error
+
+
+def _shown(text: str) -> str:
+    """The text of an error as swarmctl prints it: in one line, without control characters."""
+    return printable(" ".join(text.split()))
 
 
 def check_keys(settings: NetworkSettings, identity: Identity | None) -> None:
