@@ -185,6 +185,12 @@ def test_a_canary_gets_it_first_and_the_others_only_if_it_holds_it(file: Path) -
         swarm.push(file, canary=1)
     assert error.value.exit_code == 3
     assert failing.code.keys() == {"r1"}
+    taken = Robots(own=["r1"])
+    told.clear()
+    with swarm_of(taken, told) as swarm, pytest.raises(RequestError, match="1 refused"):
+        swarm.push(file, canary="r1")
+    assert taken.code == {}
+    assert [line for line in told if line.startswith("r1: refused: ")]
 
 
 def test_a_caller_that_no_longer_waits_for_a_canary_ends_the_push(file: Path) -> None:
