@@ -173,6 +173,7 @@ class LiveCommander:
 
     def _fetch(self, incident: str, tell: Tell, cancelled: threading.Event) -> CommandProgress:
         """Copy what robots keep of an incident to the machine of this server; runs in a thread."""
+        # Few pages fetch.
         from swarmd.operator.verbs.incidents.ask import ask_incidents, fetch, incident_named
 
         with self._limit.request(), self._make() as operator:
