@@ -710,6 +710,9 @@ def python() -> Iterator[str]:
     yield from module("swarmd.operator.client.members", ["Members", "Description"])
     yield from module("swarmd.operator.client.states", ["RobotState"])
     yield from module("swarmd.operator.client.event_feed", ["EventLine"])
+    yield from module("swarmd.operator.verbs.push.ask", ["PushOutcome"])
+    yield from module("swarmd.operator.verbs.incidents.ask", ["MarkOutcome"])
+    yield from module("swarmd.operator.verbs.record.ask", ["Fetched", "FetchedFile"])
     yield from module("swarmd.operator.session.outcome", ["Outcome"])
     yield from module("swarmd.sim.live.simulated_swarm", ["demo", "SimulatedSwarm"])
 

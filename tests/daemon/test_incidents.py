@@ -34,7 +34,7 @@ from swarmd.link.datagram import STATES, Beacon
 from swarmd.link.keys.content_signature import Purpose, sign
 from swarmd.link.keys.identity import Identity
 from swarmd.link.keys.private_keys import load_private_key
-from swarmd.operator.client.incidents import mark_fields
+from swarmd.operator.verbs.incidents.ask import mark_fields
 from swarmd.robot.setup import RobotIdentity, RobotSetup
 from swarmd.settings.platforms import load_platform
 from swarmd.settings.swarmfile import BlackboxSection

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+import swarmd
 from swarmd.core.messages import Reason
 from swarmd.core.messages import State as S
 from tests.support.keys import SwarmKeys
@@ -135,7 +136,7 @@ def test_provisional_code_that_raises_gives_way_to_the_version_before(pushing: P
 
 
 def test_the_folder_of_a_pattern_is_pushed_with_its_modules(pushing: Pushing) -> None:
-    """A module that a method imports is sent, too."""
+    """A module that a method imports is sent, too; the same folder again is there already."""
     folder = pushing.folder / "packed"
     folder.mkdir()
     code = "from .numbers import FIRST\n" + V1.replace(
@@ -147,10 +148,14 @@ def test_the_folder_of_a_pattern_is_pushed_with_its_modules(pushing: Pushing) ->
     done = pushing.swarm.ctl("plugin", "push", str(folder), "r1")
     assert done.outcome == (0, "1 targeted, 1 applied"), done
     pushing.run("packed", "r1", 7)
-    (folder / "later.py").write_text("SECOND = 5\n")
     before = pushing.listed("r1")["packed"]["hash"]
-    assert pushing.swarm.ctl("plugin", "push", str(folder), "r1", "--rerun").code == 0
-    assert pushing.listed("r1")["packed"]["hash"] != before
+    with swarmd.connect(pushing.swarm.name) as client:
+        again = client.push(folder, "r1")
+        assert (again.had, again.taken, again.digest) == (("r1",), (), before)
+        (folder / "later.py").write_text("SECOND = 5\n")
+        outcome = client.push(folder, "r1", rerun=True)
+        assert (outcome.had, outcome.taken) == ((), ("r1",)), outcome
+    assert pushing.listed("r1")["packed"]["hash"] == outcome.digest != before
     pushing.run("packed", "r1", 8)
 
 

@@ -27,11 +27,11 @@ from swarmd.operator.cli.options import (
     local_options,
 )
 from swarmd.operator.cli.output import print_json
-from swarmd.operator.cli.plugin_push import list_pushed, push, remove
 from swarmd.operator.cli.send import send_to
 from swarmd.operator.cli.targets import takes_targets
 from swarmd.operator.session.targets import Targets
 from swarmd.operator.texts.values import counted, printable
+from swarmd.operator.verbs.push.command import list_pushed, push, remove
 from swarmd.plugins import (
     PATTERN_FILE,
     check_module_name,

@@ -73,8 +73,9 @@ class AsyncSwarm:
     `goal`, `incidents`, `params`, `frame`) take turns. SwarmError if 8 requests are under way.
 
     A cancelled task no longer waits, but robots may have applied its request. The cancellation also
-    ends three methods: a `wait`; a run with a canary, whose canaries are stopped; and a run `at` a
-    later moment, whose robots are stopped before they start.
+    ends five methods: a `wait`; a run with a canary, whose canaries are stopped; a run `at` a later
+    moment, whose robots are stopped before they start; a push with a canary, whose other robots get
+    nothing; and a `fetch_incident`, whose next call continues.
     """
 
     def __init__(self, swarm: Swarm) -> None:
@@ -94,6 +95,9 @@ class AsyncSwarm:
     reset = _awaited(Swarm.reset)
     param = _awaited(Swarm.param)
     label = _awaited(Swarm.label)
+    mark = _awaited(Swarm.mark)
+    fetch_incident = _awaited(Swarm.fetch_incident)
+    push = _awaited(Swarm.push)
     resume = _awaited(Swarm.resume)
     undo = _awaited(Swarm.undo)
     wait = _awaited(Swarm.wait)

@@ -6,6 +6,7 @@ import os
 import threading
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from swarmd.core.clock import boottime
@@ -23,12 +24,14 @@ from swarmd.operator.session.targets import Targets, make_targets, no_target, ro
 if TYPE_CHECKING:
     from swarmd.link.keys.identity import Identity
     from swarmd.operator.client.event_feed import EventLine
-    from swarmd.operator.client.incidents import Incidents
     from swarmd.operator.client.operator_pool import OperatorPool
     from swarmd.operator.session.members_view import MembersView
     from swarmd.operator.session.outcome import Outcome
     from swarmd.operator.texts.assignments import Value
     from swarmd.operator.texts.goal import Difference
+    from swarmd.operator.verbs.incidents.ask import Incidents, MarkOutcome
+    from swarmd.operator.verbs.push.ask import PushOutcome
+    from swarmd.operator.verbs.record.ask import Fetched
 
 Tell: TypeAlias = Callable[[str], object]
 
@@ -166,10 +169,36 @@ class Swarm(Closing):
 
     def incidents(self, *, timeout: float | None = None) -> Incidents:
         """What went wrong on robots lately, and which robots keep their last minute of it."""
-        from swarmd.operator.client.incidents import ask_incidents
+        from swarmd.operator.verbs.incidents.ask import ask_incidents
 
         with self._session(timeout) as session:
             return ask_incidents(session)
+
+    def fetch_incident(
+        self,
+        incident: str,
+        folder: str | Path | None = None,
+        *,
+        timeout: float | None = None,
+    ) -> Fetched:
+        """Copy what robots keep of an incident to this machine; each copy becomes a recording.
+
+        `incident`: its id, or the beginning of its id. `folder`: where to copy to, with a folder
+        for each robot; by default incidents/ID below the current folder. A fetch that was
+        interrupted continues where it ended. `timeout`: for each answer of a robot. Raises
+        RequestError if no robot keeps it, ConfigError if several begin so, PluginError without
+        `pip install 'swarmd[record]'`, SwarmError if a copy cannot be written.
+        """
+        from swarmd.operator.verbs.incidents.ask import ask_incidents, fetch, incident_named
+
+        if not isinstance(incident, str) or not incident:
+            raise ConfigError(f"incident is {incident!r}; expected an id, or its beginning")
+        if folder is not None and not isinstance(folder, str | Path):
+            raise ConfigError(f"folder is {folder!r}; expected a path")
+        with self._session(timeout) as session:
+            found = ask_incidents(session)
+            chosen = incident_named(found, incident)
+            return fetch(session, found, chosen, None if folder is None else Path(folder))
 
     def states(
         self,
@@ -367,6 +396,64 @@ class Swarm(Closing):
         with self._session(timeout, is_request=True) as session:
             targeted = session.target(targets, needs_status=True)
             return targeted.counted(change_labels(targeted, added, removed))
+
+    def mark(
+        self,
+        words: str,
+        robots: Words | None = None,
+        *,
+        labels: Words = (),
+        exclude: Words = (),
+        timeout: float | None = None,
+    ) -> MarkOutcome:
+        """Begin an incident with these words: robots keep their last minute. It moves nothing.
+
+        The outcome has the id `incident`, for `fetch_incident` after 10 s.
+        """
+        from swarmd.operator.verbs.incidents.ask import check_mark, mark
+
+        check_mark(words)
+        targets = _targets(robots, labels, exclude)
+        with self._session(timeout, is_request=True) as session:
+            return mark(session.target(targets, needs_status=False), words)
+
+    def push(
+        self,
+        file: str | Path,
+        robots: Words | None = None,
+        *,
+        version: str = "",
+        canary: int | str | None = None,
+        canary_time: float | None = None,
+        replace: bool = False,
+        rerun: bool = False,
+        labels: Words = (),
+        exclude: Words = (),
+        timeout: float | None = None,
+    ) -> PushOutcome:
+        """Send a pattern to robots, which try it and use it in the next run; starts no run.
+
+        `file`: a .py, the folder of a pattern, or a wheel of pure Python; at most 1 MiB. `version`:
+        shown beside the hash. `canary`: the robot, or the number of robots, that get the code
+        first; the others follow once these hold it, which takes a run of 60 s, after `canary_time`
+        s (default 90), or at once if no canary runs the pattern. `replace`: also in place of a
+        pattern that a robot has itself. `rerun`: a robot that runs the pattern stops, and runs it
+        again with the new code. `robots`, `labels`, `exclude`: the targets, also of robots that
+        join later. `timeout`: for each answer.
+
+        The outcome names the robots that have `taken` the code and those that `had` it already.
+        Raises ConfigError for a file that cannot be pushed; nothing was sent then. Raises
+        RequestError if a canary fails; the other robots then keep the code that they had.
+        """
+        from swarmd.operator.verbs.push.ask import Push, push_to, source_at
+
+        if canary is not None:
+            canary = python_value(canary)
+        targets = _targets(robots, labels, exclude)
+        push = Push(source_at(file), version, canary, python_value(canary_time), replace, rerun)
+        push.check()
+        with self._session(timeout, is_request=True) as session:
+            return push_to(push, session.target(targets, needs_status=False), targets)
 
     def resume(
         self,

@@ -19,6 +19,7 @@ from websockets.exceptions import ConnectionClosed
 
 from swarmd.operator.view.history import History, Moment, Survey
 from swarmd.operator.view.source import Source, hello_of, pack_scan
+from swarmd.operator.view.upload import Upload
 
 DETAIL_PERIOD = 1.0
 MAX_UNACKED = 2
@@ -44,6 +45,7 @@ class Client:
     def __init__(self, connection: ServerConnection, role: str, key: str = "") -> None:
         self.connection = connection
         self.role = role
+        self.upload = Upload()
         self._key = key
         self.selected: list[str] = []
         self.past: float | None = None

@@ -11,6 +11,7 @@ from typing import Any, Literal
 
 from swarmd.core.clock import boottime
 from swarmd.core.errors import NetworkError, SwarmError
+from swarmd.core.numbers import exact_number
 from swarmd.operator.client.changes import change_labels, set_params
 from swarmd.operator.client.hand_over import in_thread
 from swarmd.operator.client.operator_pool import RequestLimit
@@ -20,6 +21,7 @@ from swarmd.operator.session.session import Session, TargetedView
 from swarmd.operator.session.targets import Targets
 from swarmd.operator.texts.assignments import read_assignments
 from swarmd.operator.texts.labels import read_changes
+from swarmd.operator.verbs.push.ask import Push, push_to, source_named
 from swarmd.operator.verbs.run.ask import Run, carry_out, goal_targets_of_names
 from swarmd.operator.verbs.stop import words as stop_words
 from swarmd.operator.verbs.stop.ask import reset, send_stop
@@ -98,8 +100,13 @@ class LiveCommander:
         """The work of a command, for a thread. Raises ValueError or TypeError for a wrong one."""
         targets = fields.get("targets")
         names = None if targets is None else tuple(map(str, targets))
-        if verb not in ("estop", "stop", "run", "param", "reset", "label"):
+        if verb not in ("estop", "stop", "run", "param", "reset", "label", "push", "fetch"):
             raise ValueError(f"there is no command {verb!r}")
+        if verb == "fetch":
+            incident = str(fields.get("incident") or "")
+            if not incident:
+                raise ValueError("no incident was named")
+            return lambda: self._fetch(incident, tell, ending)
         if isinstance(targets, str) or names == ():
             raise ValueError("no robot was targeted")
         if verb == "estop" or verb == "stop":
@@ -108,7 +115,7 @@ class LiveCommander:
             raise ValueError("no robot was targeted")
         chosen = names
         clicked_at = boottime()
-        return lambda: self._request(verb, chosen, fields, ending, clicked_at)
+        return lambda: self._request(verb, chosen, fields, tell, ending, clicked_at)
 
     def _stop(
         self,
@@ -138,12 +145,14 @@ class LiveCommander:
         verb: str,
         names: tuple[str, ...],
         fields: Mapping[str, Any],
+        tell: Tell,
         cancelled: threading.Event,
         clicked_at: float,
     ) -> CommandProgress:
         """Send a request of a page to robots and wait for their replies; runs in a thread.
 
-        `verb`: run, param, reset or label. `names`: the robots that the page shows or has selected.
+        `verb`: run, param, reset, label or push. `names`: the robots that the page shows or has
+        selected. `tell` gets lines for the user meanwhile.
         `fields`: the texts that the user typed. `cancelled` ends the wait for robots. `clicked_at`:
         s on the clock since boot. Returns the final answer for the page; ConfigError for a mistake
         in a text.
@@ -151,13 +160,33 @@ class LiveCommander:
         send = self._sender(verb, names, fields)  # parses the texts before anything is sent
         with self._limit.request(), self._make() as operator, ExitStack() as opened:
             operator.expect(names)  # a robot that does not answer counts as missing
-            session = Session(operator, is_cancelled=cancelled.is_set, began=clicked_at)
+            session = Session(
+                operator,
+                tell=_teller(verb, tell),
+                is_cancelled=cancelled.is_set,
+                began=clicked_at,
+            )
             try:
                 targeted = session.target(Targets(names), needs_status=verb in ("reset", "label"))
             except NetworkError as error:
                 return CommandProgress(f"{verb}: {error}", missing=list(names), is_final=True)
             outcome = send(targeted, opened)
         return _answer(verb, outcome)
+
+    def _fetch(self, incident: str, tell: Tell, cancelled: threading.Event) -> CommandProgress:
+        """Copy what robots keep of an incident to the machine of this server; runs in a thread."""
+        # Few pages fetch.
+        from swarmd.operator.verbs.incidents.ask import ask_incidents, fetch, incident_named
+
+        with self._limit.request(), self._make() as operator:
+            operator.expect(self._known())
+            session = Session(operator, tell=_teller("fetch", tell), is_cancelled=cancelled.is_set)
+            found = ask_incidents(session)
+            fetched = fetch(session, found, incident_named(found, incident))
+        copies = [(one.robot, one.state, str(one.path)) for one in fetched.files]
+        line = f"fetch: {len(copies)} copied to {fetched.folder.absolute()}"
+        is_good = bool(fetched)
+        return CommandProgress(line, copies, list(fetched.missing), is_good, is_final=True)
 
     def _sender(self, verb: str, names: tuple[str, ...], fields: Mapping[str, Any]) -> Sender:
         """Parse the texts of a request; returns a function that sends the request."""
@@ -169,6 +198,9 @@ class LiveCommander:
                 return partial(_send_run, run, names)
             case "param":
                 return lambda targeted, _: set_params(targeted, params)
+            case "push":
+                push = _push_of(fields)
+                return partial(_send_push, push, names)
             case "label":
                 added, removed = read_changes(str(fields.get("labels") or "").split())
                 return lambda targeted, _: change_labels(targeted, added, removed)
@@ -182,6 +214,42 @@ def _send_run(
     """Run a pattern. `names`: the robots that the page names."""
     targets = goal_targets_of_names(targeted.view, names)
     return carry_out(run, targeted, targets, opened).outcome
+
+
+def _push_of(fields: Mapping[str, Any]) -> Push:
+    """The push of a page. `code`: the bytes of the file that came; `size`: those that it has."""
+    code = fields.get("code")
+    size = fields.get("size")
+    source = source_named(
+        str(fields.get("file") or ""),
+        code if isinstance(code, bytes) else b"",
+        size if isinstance(size, int) else 0,
+    )
+    canary = str(fields.get("canary") or "")
+    count = exact_number(canary)
+    push = Push(
+        source,
+        canary=(count if isinstance(count, int) else canary) if canary else None,
+        replace=fields.get("replace") is True,
+        rerun=fields.get("rerun") is True,
+    )
+    push.check()
+    return push
+
+
+def _send_push(
+    push: Push, names: tuple[str, ...], targeted: TargetedView, opened: ExitStack
+) -> Outcome:
+    """Push a pattern. `names`: as of `_send_run`."""
+    is_for_all = targeted.view.expected <= set(names)
+    return push_to(push, targeted, Targets(() if is_for_all else names))
+
+
+def _teller(verb: str, tell: Tell) -> Callable[[str], object]:
+    """Shows lines for the user, of a command that takes long, until its final answer."""
+    if verb not in ("push", "fetch"):
+        return lambda text: None
+    return lambda text: tell(CommandProgress(f"{verb}: {text}"))
 
 
 async def _unless_cancelled(

@@ -7,7 +7,8 @@ The messages on the WebSocket:
   `overload` (texts), `answer` (to a command) and `estop`,
 - to the page, as bytes: frames (poses) and scans (`source.pack_frame`),
 - from the page: `ack` (of a frame), `select` (robots), `play`, `seek` and `choose` (of a recorded
-  run), `past` (a time to look back at) and `act` (a command).
+  run), `past` (a time to look back at), `act` (a command) and `file` (a piece of the file of a
+  command to come).
 
 The server remembers an emergency stop that not all robots have acknowledged: a page that opens
 later shows it.
@@ -254,6 +255,8 @@ class ViewServer:
             client.past = None
             with suppress(TypeError, ValueError, OverflowError):  # also for null: the present
                 client.past = float(message.get("time"))
+        elif kind == "file" and client.role == "operator" and self._commander is not None:
+            client.upload.take(message)
         elif kind == "act":
             task = self._begin(self._act(client, message))
             if message.get("verb") not in STOPS:
@@ -296,7 +299,8 @@ class ViewServer:
         else:
             if verb == "estop":
                 self._show_estop(id, CommandProgress("estop: sent"), is_new=True)
-            await self._commander.act(verb, message, tell)
+            fields = {**message, "code": client.upload.end(id)} if verb == "push" else message
+            await self._commander.act(verb, fields, tell)
 
     def _is_late(self, seen: Any) -> bool:
         """True if a command that starts or changes motion may have waited too long.

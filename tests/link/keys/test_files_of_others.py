@@ -34,8 +34,8 @@ from swarmd.link.keys.authority import Authority
 from swarmd.link.keys.bundle import write_bundle
 from swarmd.link.keys.roster import Role
 from swarmd.operator.cli.daemon import swarmd
-from swarmd.operator.cli.plugin_push import read_source
 from swarmd.operator.cli.swarmctl import exit_code_of, run_cli
+from swarmd.operator.verbs.push.ask import read_source
 from swarmd.sim.experiments.simulate import simulate
 from swarmd.sim.scenarios.scenariofile import load_scenario
 from swarmd.sim.view.trace_source import source_of

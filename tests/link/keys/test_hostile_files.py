@@ -30,7 +30,7 @@ from swarmd.link.keys.identity import INFO, load_identity
 from swarmd.link.keys.private_keys import load_private_key
 from swarmd.operator.acceptance.result_file import RECORD, read_record
 from swarmd.operator.cli.plugin import _network_text
-from swarmd.operator.cli.plugin_push import read_source
+from swarmd.operator.verbs.push.ask import read_source
 from swarmd.plugins import is_mission
 from swarmd.settings import yamlfile
 from swarmd.settings.platforms import load_platform

@@ -25,8 +25,8 @@ from swarmd.operator.cli.plugin_check import (
     describe_patterns,
     used_by,
 )
-from swarmd.operator.cli.plugin_push import read_source
 from swarmd.operator.cli.swarmctl import cli, run_cli
+from swarmd.operator.verbs.push.ask import read_source
 from swarmd.pattern_host.loader import PatternLoader, import_file
 from swarmd.pattern_host.plugin_inspector import (
     DROPPED,

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from swarmd.core.incident import IncidentKind
-from swarmd.core.messages import FenceSummary, Health, Reason, State
+from swarmd.core.messages import Code, FenceSummary, Health, Reason, Reply, State
+from swarmd.operator.session.outcome import Outcome
+from swarmd.operator.session.session import TargetedView
+from swarmd.operator.session.targets import Targets
+from swarmd.operator.verbs.push.ask import Push
+from swarmd.operator.view import commander
 from tests.operator.view.test_fleet import ESTOP, ready, shown
 from tests.support.chromium import FOUND, Page
 from tests.support.fed_swarm import PATTERNS
 from tests.support.incidents import ID
-from tests.support.processes import wait_until
+from tests.support.processes import CAP, wait_until
 
 pytestmark = [
     pytest.mark.integration,
@@ -203,6 +209,47 @@ COMMANDS_GO = (
     " (id) => document.getElementById(id).getAttribute('aria-disabled'))])"
 )
 """Whether the page says that commands go to robots, and whether buttons look unusable."""
+
+
+def test_a_chosen_file_is_pushed_whole_and_a_wrong_one_is_refused_in_one_line(
+    page: Page,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    pushed: list[tuple[Push, tuple[str, ...]]] = []
+
+    def push_to(push: Push, targeted: TargetedView, targets: Targets) -> Outcome:
+        pushed.append((push, targets.names))
+        return Outcome({"tb3-001": Reply(id="1", robot="tb3-001", code=Code.APPLIED)})
+
+    monkeypatch.setattr(commander, "push_to", push_to)
+    for limit in ("MAX_GAP", "MAX_LATENESS"):  # of commands on a machine that stands still
+        monkeypatch.setattr(f"swarmd.operator.client.input_watch.{limit}", CAP)
+    file = tmp_path / "own.py"
+    file.write_bytes("# é\n".encode() * 20_000)
+    large = tmp_path / "large.py"
+    large.write_bytes(bytes(2**20 + 1))
+    with shown(2, capsys) as (_, (address,)):
+        page.resize(390, 844, is_phone=True)
+        ready(page, address, 2)
+        page.evaluate("swarm.model.select(['tb3-001'])")
+        page.click("#run-open")
+        page.evaluate("document.getElementById('push-box').open = true")
+        page.choose("#push-file", large)
+        page.evaluate("document.getElementById('push').click()")  # not by place: answers move it
+        page.until(f"{LINE}.includes('1048576')", "a refusal")
+        assert pushed == []
+        page.choose("#push-file", file)
+        page.evaluate("document.getElementById('push-canary').click()")
+        page.evaluate("document.getElementById('push').click()")
+        page.until(f"{LINE}.startsWith('push: 1 targeted, 1 applied')", "pushed")
+        ((push, names),) = pushed
+        assert (push.source.name, push.source.code) == ("own", file.read_bytes())
+        assert (push.canary, push.replace, push.rerun, names) == (1, False, False, ("tb3-001",))
+        page.until("document.getElementById('run').textContent === 'Run own'", "to be run next")
+        assert page.evaluate("document.documentElement.scrollWidth") == 390
+        assert page.errors == []
 
 
 def test_a_page_looks_back_and_starts_nothing_from_there(

@@ -4,11 +4,13 @@ import { Answers, made } from './answers.js';
 import { PatternForm } from './patterns.js';
 import { ago, plain } from './states.js';
 
-const COMMANDS = ['run-open', 'reset', 'detail-reset', 'estop-reset', 'run', 'param', 'set-labels']; // all but stops
+const COMMANDS = ['run-open', 'reset', 'detail-reset', 'estop-reset', 'run', 'param', 'set-labels', 'push']; // all but stops
 const RESET = ['estopped', 'faulted']; // states that a reset ends
 const MAX_SHORT = 8; // letters of a robot's name on a button
 const MAX_NAMED = 3; // robots that the banner names
 const CONFIRM = 5000; // ms in which the second click on a reset counts
+const MAX_PUSHED = 1024 * 1024; // bytes of a pattern; of a larger file the server only tells the size
+const PIECE = 24 * 1024; // bytes of a message
 const element = (id) => document.getElementById(id);
 let last = 0;
 
@@ -41,6 +43,12 @@ export class Actions {
       if (labels) this.act('label', { targets: this.named(), labels });
       else element('labels').focus();
     });
+    element('push-form').addEventListener('submit', (event) => {
+      event.preventDefault();
+      const [file] = element('push-file').files;
+      if (file) this.push(file);
+      else element('push-file').click();
+    });
     for (const news of ['selection', 'hello', 'past']) model.addEventListener(news, () => this.show());
     model.addEventListener('hello', () => this.returned());
     for (const news of ['rows', 'past']) model.addEventListener(news, () => this.mark());
@@ -58,7 +66,7 @@ export class Actions {
     const short = count > 1 ? `${count} robots` : !count ? `all ${all}` : targets.length > MAX_SHORT ? '1 robot' : targets;
     document.querySelector('.targets').textContent = targets;
     element('targets').textContent = this.isPast() ? `The map shows the past: only stops are sent, to ${targets}.` : `Commands go to ${targets}.`;
-    for (const [id, verb] of [['stop', 'Stop'], ['reset', 'Reset']]) element(id).textContent = `${verb} ${short}`;
+    for (const [id, verb] of [['stop', 'Stop'], ['reset', 'Reset'], ['push', 'Push to']]) element(id).textContent = `${verb} ${short}`;
     this.mark();
   }
 
@@ -114,7 +122,29 @@ export class Actions {
     }
   }
 
-  act(verb, fields) {
+  // The file goes to the server in pieces, then the command that uses it.
+  async push(file) {
+    const isTold = (id) => element(id).checked;
+    const fields = {
+      targets: this.named(), file: file.name, size: file.size, canary: isTold('push-canary') ? '1' : '', replace: isTold('push-replace'), rerun: isTold('push-rerun'),
+    };
+    let bytes;
+    try {
+      bytes = new Uint8Array(file.size > MAX_PUSHED ? 0 : await file.arrayBuffer());
+    } catch { // it was moved or changed since it was chosen
+      last += 1;
+      this.answers.show(`push-${last}`, `push: not sent: ${file.name} cannot be read; choose it again`, [], true);
+      return;
+    }
+    this.act('push', fields, (id) => {
+      for (let offset = 0; offset < bytes.length; offset += PIECE) {
+        this.send({ kind: 'file', id, offset, data: btoa(String.fromCharCode(...bytes.subarray(offset, offset + PIECE))) });
+      }
+    });
+  }
+
+  // `before(id)`: sends what the command needs.
+  act(verb, fields, before = () => {}) {
     last += 1;
     const id = `${Date.now().toString(36)}-${last}`;
     if (this.isPast() && !['stop', 'estop'].includes(verb)) {
@@ -122,6 +152,7 @@ export class Actions {
       return false;
     }
     // The number of the frame that the operator saw: if it is old, the server refuses to start motion.
+    before(id);
     const isSent = this.send({ kind: 'act', id, verb, seen: this.model.sequence, ...fields });
     if (!isSent) this.answers.show(id, `${verb}: not sent: no link to the server`, [], true);
     else if (verb !== 'estop') { this.waiting.set(id, { verb, ...fields }); this.answers.show(id, `${verb} ...`); }
@@ -166,6 +197,7 @@ export class Actions {
     if (!message.is_final) return;
     this.waiting.delete(message.id);
     if (fields && fields.verb === 'run' && message.is_good) { this.form.ran(fields.pattern); this.ran(); }
+    if (fields && fields.verb === 'push' && message.is_good && fields.file.endsWith('.py')) this.form.has(fields.file.slice(0, -3));
   }
 
   // Show the emergency stop under way, which any page may have begun.

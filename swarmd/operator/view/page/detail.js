@@ -6,8 +6,9 @@ const PERIOD = 200; // ms between two updates
 const LIMIT = '#d55e00';
 
 export class Detail {
-  constructor(model) {
-    this.model = model;
+  // `fetch(id)`: fetches an incident.
+  constructor(model, fetch) {
+    Object.assign(this, { model, fetch });
     this.dial = document.getElementById('dial');
     this.closed = new Set(['Robot', 'Health', 'Dropped', 'Peers']); // titles of folded sections
     for (const news of ['selection', 'rows', 'detail', 'hello']) model.addEventListener(news, () => this.wake());
@@ -74,8 +75,21 @@ export class Detail {
       item.textContent = `${age}: ${plain(text)}`;
       if (incident) item.append(document.createElement('code'));
       if (incident) item.lastChild.textContent = `swarmctl incidents fetch ${incident.id}`;
+      if (incident && this.mayFetch()) item.append(this.fetchOf(incident.id));
       return item;
     }));
+  }
+
+  // A recording has no robots to ask, and a page that may only look sends no command.
+  mayFetch() { return this.model.role === 'operator' && !this.model.playback; }
+
+  fetchOf(id) {
+    const button = document.createElement('button');
+    button.type = 'button';
+    button.textContent = 'Fetch';
+    button.title = 'Copies what robots keep of it to the computer of this page';
+    button.addEventListener('click', () => this.fetch(id));
+    return button;
   }
 
   // Forward is up. Wide and grey: the requested command. Narrow and coloured: the safe command. The outer arc: the turn.

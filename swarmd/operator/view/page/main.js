@@ -15,7 +15,7 @@ const element = (id) => document.getElementById(id);
 const model = new Model();
 const map = new SwarmMap(element('map'), model);
 const list = new RobotList(model);
-const detail = new Detail(model);
+const detail = new Detail(model, (incident) => actions.act('fetch', { incident }));
 const pick = (robots) => model.select(robots.map((one) => one.name));
 const legend = new Legend(element('legend'), () => map.legend(), pick), chips = new Legend(element('chips'), () => map.states(), pick);
 const panels = new Panels(map);

@@ -59,6 +59,12 @@ export class PatternForm {
     if (row) row.scrollIntoView({ block: 'nearest' });
   }
 
+  // Robots have a pattern, also if this computer has it not.
+  has(name) {
+    this.named.add(name);
+    this.choose(name);
+  }
+
   // Store the name of a pattern that ran.
   ran(name) {
     try { localStorage.setItem('recent', JSON.stringify([name, ...this.recent().filter((one) => one !== name)].slice(0, MAX_RECENT))); } catch { /* not kept */ }
@@ -128,7 +134,7 @@ export class PatternForm {
     };
     const [near] = all.map((one) => [edits(typed, wordsOf(one.name)), one.name]).sort(([one], [other]) => one - other);
     if (near && near[0] < FAR * typed.length) offer(`Did you mean ${wordsOf(near[1])}?`, () => this.choose(near[1]));
-    offer(`Use "${typed}": only the robots have it`, () => { this.named.add(name); this.choose(name); });
+    offer(`Use "${typed}": only the robots have it`, () => this.has(name));
     return note;
   }
 

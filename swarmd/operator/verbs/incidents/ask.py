@@ -1,4 +1,4 @@
-"""The incidents of which robots keep their last minute, as all robots tell them.
+"""Asks for incidents, for `swarmctl`, the page and Python: list, fetch, mark; no printing.
 
 Each robot may say of an incident what it likes, so its words are its own: they count once, as those
 of the robot that tells them, and hide the words of no other robot.
@@ -6,22 +6,38 @@ of the robot that tells them, and hide the words of no other robot.
 
 from __future__ import annotations
 
+import secrets
 import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from msgspec import to_builtins
+from msgspec.structs import asdict
 
+from swarmd.core.bounds import MAX_REASON
 from swarmd.core.clock import FIRST_WALL
+from swarmd.core.errors import ConfigError, RequestError
 from swarmd.core.incident import Incident, IncidentKind, mark_part
-from swarmd.core.verbs import INCIDENTS, IncidentsReply, KeptIncident, mark_text
+from swarmd.core.verbs import (
+    INCIDENTS,
+    IncidentsReply,
+    KeptIncident,
+    MarkRequest,
+    RecordingFile,
+    mark_text,
+    shortened,
+)
 from swarmd.operator.session.ask_robots import ask_robots, in_reach
-from swarmd.operator.session.exit_codes import code_of_answers
+from swarmd.operator.session.exit_codes import NO_TARGET, code_of_answers
+from swarmd.operator.session.outcome import Outcome
+from swarmd.operator.verbs.record.ask import Fetched, OnBytes, fetch_files
+from swarmd.plugins import need
 
 if TYPE_CHECKING:
     from swarmd.operator.session.operator import Operator
-    from swarmd.operator.session.session import Session
+    from swarmd.operator.session.session import Session, TargetedView
 
 _SILENCE = (IncidentKind.SILENT, IncidentKind.STALL)
 
@@ -116,6 +132,72 @@ def ask_incidents(session: Session) -> Incidents:
     missing = tuple(sorted(set(names) - replies.keys()))
     code = code_of_answers(names, replies)
     return Incidents(gathered(replies), faults, missing, code, tuple(replies))
+
+
+def incident_named(found: Incidents, prefix: str) -> SwarmIncident:
+    """The incident whose id begins with `prefix`.
+
+    RequestError if there is none, ConfigError if there are several.
+    """
+    matching = [one for one in found.incidents if one.incident.id.startswith(prefix)]
+    if not matching:
+        text = f"no robot keeps an incident {prefix}; see `swarmctl incidents`"
+        raise RequestError(text, NO_TARGET)
+    if len(matching) > 1:
+        ids = ", ".join(one.incident.id for one in matching)
+        raise ConfigError(f"{prefix} begins {len(matching)} ids ({ids}); type more of it")
+    return matching[0]
+
+
+def fetch(
+    session: Session,
+    found: Incidents,
+    chosen: SwarmIncident,
+    folder: Path | None = None,
+    on_bytes: OnBytes = lambda robot, file, received, size: None,
+) -> Fetched:
+    """Copy what robots keep of the incident `chosen` of `found` to this machine.
+
+    Each copy becomes a recording beside it. `folder`: by default incidents/ID below the current
+    one. Errors as of `fetch_files`; PluginError without the packages that write recordings.
+    """
+    need("mcap", "rosbags", extra="record")
+    from swarmd.daemon.recording.fetch import INCIDENT
+
+    id = chosen.incident.id
+    files = {
+        robot: (
+            RecordingFile(name=f"{id}{INCIDENT.suffix}", size=one.size, is_open=False, crc=one.crc),
+        )
+        for robot, one in chosen.kept.items()
+        if one.size
+    }
+    if awaited := sorted(chosen.kept.keys() - files.keys()):
+        session.tell(f"no file so far: {shortened(', '.join(awaited))}; fetch again in 10 s")
+    failed = [*found.missing, *awaited]
+    return fetch_files(session, files, failed, folder or Path("incidents", id), INCIDENT, on_bytes)
+
+
+class MarkOutcome(Outcome, frozen=True):
+    """The outcome of a mark; `incident`: the id that all robots keep it by."""
+
+    incident: str = ""
+
+
+def check_mark(words: str) -> None:
+    """ConfigError for words that no incident can have."""
+    if not isinstance(words, str):
+        raise ConfigError(f"words are {words!r}; expected a text")
+    if not words.strip() or len(words) > MAX_REASON:
+        wanted = f"WORDS have {len(words)} characters; expected 1 to {MAX_REASON}"
+        raise ConfigError(f"{wanted}, such as 'it hit the chair'")
+
+
+def mark(targeted: TargetedView, words: str) -> MarkOutcome:
+    """Begin an incident with these words on robots, which keep their last minute."""
+    id = secrets.token_hex(6)
+    outcome = targeted.request(MarkRequest, **mark_fields(targeted.operator, words, id))
+    return MarkOutcome(**asdict(targeted.counted(outcome)), incident=id)
 
 
 def mark_fields(operator: Operator, words: str, id: str) -> dict[str, Any]:

@@ -9,14 +9,13 @@ from typing import Any
 
 import pytest
 
-from swarmd.core.errors import SwarmError
+from swarmd.core.errors import RequestError, SwarmError
 from swarmd.core.pattern_manifest import MAX_CODE, PatternManifest, encode_manifest
 from swarmd.core.verbs import PushedPatternReport, PushedPatternsReply
 from swarmd.link.keys.content_signature import Purpose, sign
 from swarmd.link.keys.private_keys import load_private_key
-from swarmd.operator.cli import plugin_push
-from swarmd.operator.cli.options import Failure
-from swarmd.operator.cli.plugin_push import _differing, greatest_of, read_source
+from swarmd.operator.verbs.push import ask
+from swarmd.operator.verbs.push.ask import Pusher, differing, greatest_of, read_source
 from tests.support.keys import SwarmKeys
 
 
@@ -62,7 +61,7 @@ def test_robots_that_differ_from_most_are_marked() -> None:
         "r2": reply("r2", own="a"),
         "r3": reply("r3", own="b", other="x"),
     }
-    assert _differing(found) == {("r3", "own")}
+    assert differing(found) == {("r3", "own")}
 
 
 def test_generations_of_pushed_patterns_count_by_their_signatures(tmp_path: Path) -> None:
@@ -93,23 +92,24 @@ def test_generations_of_pushed_patterns_count_by_their_signatures(tmp_path: Path
 
 def test_without_an_answer_no_generation_is_guessed(monkeypatch: pytest.MonkeyPatch) -> None:
     view: Any = SimpleNamespace(members={"r1": None, "r2": None})
-    asked: Any = SimpleNamespace(options=None, operator=SimpleNamespace(identity=None), view=view)
-    pusher = plugin_push._Pusher(asked, None)
+    operator = SimpleNamespace(identity=None)
+    targeted: Any = SimpleNamespace(session=None, operator=operator, view=view)
+    pusher = Pusher(targeted, None)
     answers = {"r2": PushedPatternsReply(robot="r2", generation=4)}
-    monkeypatch.setattr(plugin_push, "pushed_patterns_of", lambda *_: answers)
+    monkeypatch.setattr(ask, "pushed_patterns_of", lambda *_: answers)
     assert pusher.next_generation() == 5
     answers.clear()
-    with pytest.raises(Failure, match="from r1, r2; nothing was sent"):
+    with pytest.raises(RequestError, match="from r1, r2; nothing was sent"):
         pusher.next_generation()
 
 
 def test_the_wait_for_a_canary_is_told_at_intervals(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Of a canary that runs new code for 90 s, with a clock that the waits wind."""
     clock = [0.0]
     code = b"code"
-    digest = hashlib.sha256(code).hexdigest()[: plugin_push.DIGEST_LENGTH]
+    digest = hashlib.sha256(code).hexdigest()[: ask.DIGEST_LENGTH]
     report = PushedPatternReport(name="own", standing="provisional", digest=digest)
     answers = {"r1": PushedPatternsReply(robot="r1", patterns=(report,))}
 
@@ -119,15 +119,15 @@ def test_the_wait_for_a_canary_is_told_at_intervals(
     operator = SimpleNamespace(
         members=lambda timeout: None, loops=SimpleNamespace(turn=lambda *_: None)
     )
-    monkeypatch.setattr(plugin_push, "pushed_patterns_of", lambda *_: answers)
-    monkeypatch.setattr(plugin_push, "_runs", lambda *_: True)
-    monkeypatch.setattr(
-        plugin_push, "time", SimpleNamespace(monotonic=lambda: clock[0], sleep=wait)
+    monkeypatch.setattr(ask, "pushed_patterns_of", lambda *_: answers)
+    monkeypatch.setattr(ask, "_runs", lambda *_: True)
+    monkeypatch.setattr(ask, "time", SimpleNamespace(monotonic=lambda: clock[0], sleep=wait))
+    told: list[str] = []
+    session: Any = SimpleNamespace(
+        timeout=None, operator=operator, tell=told.append, is_cancelled=lambda: False
     )
-    asked: Any = SimpleNamespace(options=SimpleNamespace(timeout=None), operator=operator)
-    source = plugin_push.Source("own", "file", "", "", code)
-    assert "not held yet" in plugin_push._await_canary(asked, source, ["r1"], ["r2"], 90.0)
-    told = capsys.readouterr().err.splitlines()
+    source = ask.Source("own", "file", "", "", code)
+    assert "not held yet" in ask.await_canary(session, source, ["r1"], ["r2"], 90.0)
     assert [line.partition(" s,")[0] for line in told] == [
         f"canary r1: {seconds}" for seconds in range(10, 90, 10)
     ]

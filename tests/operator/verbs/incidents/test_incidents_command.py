@@ -2,33 +2,44 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import zlib
-from contextlib import nullcontext
+from contextlib import closing, nullcontext
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, Self
 
 import pytest
 from msgspec import structs
 
 from swarmd.core.codec import Decoder, encode
+from swarmd.core.errors import ConfigError, RequestError, SwarmError
 from swarmd.core.events import NeighborsInput, PlaceInput
 from swarmd.core.incident import Incident, IncidentKind
+from swarmd.core.messages import Code, Reply
 from swarmd.core.values import Neighbor, PeerPlace
 from swarmd.core.verbs import (
     FetchQuery,
     FetchReply,
     IncidentsReply,
     KeptIncident,
+    MarkRequest,
     RecordingsReply,
 )
 from swarmd.daemon.recording import frames
 from swarmd.daemon.recording.incident_file import to_recording
 from swarmd.daemon.recording.lost_member import LOST, LostMember
-from swarmd.operator.cli import incidents, record
 from swarmd.operator.cli.options import CommonOptions
 from swarmd.operator.cli.swarmctl import cli, exit_code_of, run_cli
-from swarmd.operator.client.incidents import Incidents, accounts_of, gathered
+from swarmd.operator.client.operator_pool import OperatorPool
+from swarmd.operator.client.swarm import Swarm
+from swarmd.operator.session.outcome import Outcome
+from swarmd.operator.session.session import Session
+from swarmd.operator.verbs.incidents import ask, command
+from swarmd.operator.verbs.incidents.ask import Incidents, accounts_of, gathered
+from swarmd.operator.view.commander import LiveCommander
+from swarmd.operator.view.source import CommandProgress
 from tests.support.incidents import ID, incident_of, keep
 from tests.support.recorded_stories import Story
 
@@ -55,17 +66,17 @@ class Robots:
         self.missing: tuple[str, ...] = ()
         self.code = 0
         self.left = 10**6  # answers with pieces
-        monkeypatch.setattr(CommonOptions, "operator", lambda options: nullcontext())
-        monkeypatch.setattr(incidents, "session_of", lambda *words: None)
-        monkeypatch.setattr(incidents, "ask_incidents", self._incidents)
-        monkeypatch.setattr(record, "_ask", self._ask)
+        self.told: list[str] = []  # lines for users of Python
+        monkeypatch.setattr(CommonOptions, "operator", lambda options: nullcontext(self))
+        monkeypatch.setattr(command, "ask_incidents", self._incidents)
+        monkeypatch.setattr(ask, "ask_incidents", self._incidents)
 
     def _incidents(self, session: object) -> Incidents:
         faults = {robot: one.fault for robot, one in self.replies.items() if one.fault}
         found = gathered(self.replies)
         return Incidents(found, faults, self.missing, self.code, tuple(self.replies))
 
-    def _ask(self, options: object, operator: object, robot: str, name: str, payload: bytes) -> Any:
+    def ask(self, robot: str, name: str, payload: bytes, *, timeout: float) -> Any:
         if name == "recordings":
             return encode(RecordingsReply(robot=robot, now=1e3, clock="c", files=()))
         assert name == "incident", "which needs the right of an operator"
@@ -80,6 +91,33 @@ class Robots:
                 data=data, crc=zlib.crc32(data),
             )
         )  # fmt: skip
+
+    def __call__(self) -> Self:
+        return self
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Nothing is open."""
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+    def expect(self, names: object) -> None:
+        """All are known."""
+
+    def swarm(self) -> Any:
+        """A connection from Python."""
+        make: Any = self
+        return closing(Swarm(OperatorPool(make), tell=self.told.append))
+
+    def clicked(self, **fields: Any) -> list[CommandProgress]:
+        """The answers to a fetch of a page."""
+        told: list[CommandProgress] = []
+        make: Any = self
+        asyncio.run(LiveCommander(make).act("fetch", fields, told.append))
+        return told
 
     def swarmctl(self, *words: str) -> tuple[int, str, str]:
         code = run_cli(cli, list(words), "swarmctl", exit_code_of)
@@ -389,6 +427,60 @@ def test_a_fetch_that_was_cut_continues(
     assert (tmp_path / "tb3-01" / f"{ID}.incident").read_bytes() == files["tb3-01"]
 
 
+def test_a_fetch_from_python_and_from_the_page_copies_the_same(
+    robots: Robots, files: dict[str, bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    keep_files(robots, files)
+    robots.missing = ("tb3-03",)
+    monkeypatch.chdir(tmp_path)
+    assert robots.swarmctl("incidents", "fetch", ID, "-d", "typed")[0] == 3
+    with robots.swarm() as swarm:
+        fetched = swarm.fetch_incident(ID[:4], "asked")
+    assert (fetched.exit_code, bool(fetched), fetched.missing) == (3, False, ("tb3-03",))
+    assert [(one.robot, one.state) for one in fetched.files] == [(one, "whole") for one in ROBOTS]
+    (answer,) = robots.clicked(incident=ID[:4])
+    assert str(tmp_path / "incidents" / ID) in answer.line
+    assert (answer.is_good, answer.missing) == (False, ["tb3-03"])
+    for robot, data in files.items():
+        for folder in ("typed", "asked", f"incidents/{ID}"):
+            assert (tmp_path / folder / robot / f"{ID}.incident").read_bytes() == data
+            assert (tmp_path / folder / robot / f"{ID}-00001.mcap").exists()
+
+
+def test_a_fetch_of_no_incident_copies_nothing(
+    robots: Robots, files: dict[str, bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    keep_files(robots, files)
+    robots.replies["tb3-03"] = reply("tb3-03", kept(id=f"{ID[:4]}00000000"))
+    monkeypatch.chdir(tmp_path)
+    with robots.swarm() as swarm:
+        with pytest.raises(RequestError) as error:
+            swarm.fetch_incident("ffff")
+        assert error.value.exit_code == 4
+        for wrong in (ID[:4], "", None):
+            with pytest.raises(ConfigError):
+                swarm.fetch_incident(wrong)
+        with pytest.raises(ConfigError):
+            swarm.fetch_incident(ID, 7)
+    for fields in ({"incident": "ffff"}, {"incident": ID[:4]}, {"incident": ""}, {}):
+        (answer,) = robots.clicked(**fields)
+        assert (answer.is_good, answer.is_final, answer.replies) == (False, True, [])
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_fetch_that_is_cancelled_keeps_what_came(
+    robots: Robots, files: dict[str, bytes], tmp_path: Path
+) -> None:
+    keep_files(robots, files)
+    found = robots._incidents(None)
+    calls = iter([False, True])
+    session: Any = Session(robots, is_cancelled=lambda: next(calls))  # type: ignore[arg-type]
+    with pytest.raises(SwarmError, match="cancelled"):
+        ask.fetch(session, found, found.incidents[0], tmp_path)
+    assert (tmp_path / "tb3-01" / f"{ID}.incident.partial").stat().st_size > 0
+    assert ask.fetch(Session(robots), found, found.incidents[0], tmp_path)  # type: ignore[arg-type]
+
+
 def test_a_file_that_is_none_is_named_and_the_others_are_fetched(
     robots: Robots, files: dict[str, bytes], tmp_path: Path
 ) -> None:
@@ -423,6 +515,22 @@ def test_the_beginning_of_an_id_names_one_incident(
 def test_a_mark_without_words_or_with_too_many_is_refused(robots: Robots, words: str) -> None:
     code, _, err = robots.swarmctl("incident", "mark", words)
     assert (code, "WORDS" in err) == (2, True)
+    with robots.swarm() as swarm, pytest.raises(ConfigError, match="WORDS"):
+        swarm.mark(words)
+
+
+def test_a_mark_tells_the_id_by_which_it_is_fetched() -> None:
+    sent: list[Any] = []
+
+    def request(kind: type, **fields: Any) -> Outcome:
+        sent.append((kind, fields))
+        return Outcome({"r1": Reply(id="1", robot="r1", code=Code.APPLIED)}, missing=("r2",))
+
+    operator = SimpleNamespace(identity=None, name="anna@desk")
+    targeted: Any = SimpleNamespace(operator=operator, request=request, counted=lambda one: one)
+    outcome = ask.mark(targeted, "it hit the chair")
+    assert (outcome.applied, outcome.missing, outcome.exit_code) == (("r1",), ("r2",), 3)
+    assert sent == [(MarkRequest, {"words": "it hit the chair", "incident": outcome.incident})]
 
 
 def silent_of(robot: str, by: str) -> Incident:
