@@ -209,7 +209,7 @@ class GoalHandler:
         goals.adopt(goal, age, now, may_join=may_join)
 
     def _is_after_hand(self, age: float | None, now: float) -> bool:
-        """True if an operator drives, and a goal of this age was set after that began, or may be."""
+        """True if a hand is there, and a goal of this age was set after it, or may have been."""
         hand = self._lifecycle.pattern_run.hand
         if hand is None:
             return False

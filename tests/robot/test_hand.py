@@ -160,7 +160,7 @@ def test_a_pattern_that_hangs_does_not_hold_the_hand() -> None:
 
 
 def test_a_lost_hand_holds_the_run_until_a_resume() -> None:
-    harness, hand = driven()
+    harness, _ = driven()
     harness.advance(LEASE)
     assert still(harness, 10.0)  # longer than a hold that ends a run
     status = harness.status
@@ -176,7 +176,7 @@ def test_a_lost_hand_holds_the_run_until_a_resume() -> None:
 
 @pytest.mark.parametrize("again", ["run", "hand"])
 def test_a_new_run_or_a_released_hand_ends_the_hold(again: str) -> None:
-    harness, hand = driven()
+    harness, _ = driven()
     harness.advance(1.0)
     if again == "run":
         harness.applied("run", pattern=RUN)

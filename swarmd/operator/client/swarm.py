@@ -310,8 +310,8 @@ class Swarm(Closing):
                 timeout=targeted.time_left,
                 issued=session.began,
                 is_wanted=lambda: session.is_owned() and not session.is_cancelled(),
-                on_close=opened.pop_all().close,
             )
+            hand.on_close = opened.pop_all().close
             return hand
 
     def stop(

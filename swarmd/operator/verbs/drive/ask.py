@@ -119,7 +119,6 @@ class Hand(Closing):
         id: str,
         *,
         is_wanted: Callable[[], bool],
-        on_close: Callable[[], object],
     ) -> None:
         self.robot = robot
         self.id = id
@@ -127,7 +126,8 @@ class Hand(Closing):
         """The last status of the robot; None before the first."""
         self._operator = operator
         self._is_wanted = is_wanted
-        self._on_close = on_close
+        self.on_close: Callable[[], object] = lambda: None
+        """Called once, when the hand is closed."""
         self._commands = Commands(boottime())
         self._changed = threading.Condition()
         self._is_closed = False
@@ -207,7 +207,7 @@ class Hand(Closing):
         if self._thread.is_alive() and self._thread is not threading.current_thread():
             self._thread.join(1.0)
         self._operator.unwatch("status", self.robot)
-        self._on_close()
+        self.on_close()
 
     def __exit__(self, kind: object, *error: object) -> None:
         if kind is None and not self.is_over:
@@ -285,20 +285,19 @@ def take(
     timeout: float | None = None,
     issued: float | None = None,
     is_wanted: Callable[[], bool] = lambda: True,
-    on_close: Callable[[], object] = lambda: None,
 ) -> Hand:
     """Take a robot by hand: it stands, and a run beneath it waits. RequestError if it refuses.
 
     `view`: the last look of `operator`, which the hand uses until it is closed. `issued`: when the
     user asked for it, in s on the clock since boot. Nothing is told once `is_wanted` returns False,
-    as when the connection is closed. `on_close` is called when the hand is closed.
+    as when the connection is closed.
     """
     epochs = view.epochs((robot,))
     outcome = operator.request(DriveRequest, epochs, timeout=timeout, issued=issued)
     reply = outcome.replies.get(robot)
     if reply is None or not outcome.applied:
         raise RequestError(f"{robot}: {_answer(outcome, robot)}", outcome.exit_code or REFUSED)
-    hand = Hand(operator, robot, reply.id, is_wanted=is_wanted, on_close=on_close)
+    hand = Hand(operator, robot, reply.id, is_wanted=is_wanted)
     return hand.start(-1 if reply.epoch is None else reply.epoch.revision)
 
 
