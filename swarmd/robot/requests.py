@@ -115,7 +115,7 @@ class RequestHandler:
         """Carry the request out or refuse it; no reply if the request targets only other robots."""
         if request.targets is not None and self._robot not in request.targets:
             return
-        is_release = isinstance(request, verbs.DriveRequest) and bool(request.releases)
+        is_release = isinstance(request, verbs.DriveRequest) and request.is_release
         needs_epoch = verbs.VERBS[request.verb].needs_epoch and not is_release
         if needs_epoch and (refusal := self._refusal_of(request)):
             self._lifecycle.refuse(effects, request, *refusal)
@@ -261,7 +261,7 @@ class RequestHandler:
 
     def on_drive(self, request: verbs.DriveRequest, effects: Effects) -> None:
         """Begin a hand, or end one by the word of its driver; or refuse."""
-        if request.releases:
+        if request.is_release:
             self._release(request, effects)
             return
         lifecycle = self._lifecycle
@@ -285,7 +285,7 @@ class RequestHandler:
         lifecycle = self._lifecycle
         run = lifecycle.pattern_run
         hand = run.hand
-        if hand is None or hand.id != request.releases:
+        if hand is None or hand.id != request.hand:
             text = f"this hand is over already: changed by {lifecycle.changed_by}"
             lifecycle.refuse(effects, request, Refusal.OVERTAKEN, text)
         elif hand.driver != request.operator:

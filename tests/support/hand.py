@@ -21,7 +21,7 @@ class HandOn:
         self.harness = harness
         self.driver = driver
         self.ahead = ahead
-        self.id = ""
+        self.id = "none"
         self.order = 0
 
     def take(self, **fields: Any) -> Reply | None:
@@ -32,7 +32,7 @@ class HandOn:
 
     def release(self) -> Reply | None:
         """Release the robot by word."""
-        request = self.harness.request("drive", operator=self.driver, releases=self.id)
+        request = self.harness.request("drive", operator=self.driver, is_release=True, hand=self.id)
         return self.harness.send(request)
 
     def word(self, twist: Twist = FORWARD, *, age: float = 0.0, order: int | None = None) -> None:

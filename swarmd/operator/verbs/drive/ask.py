@@ -190,7 +190,8 @@ class Hand(Closing):
                 {self.robot: None},
                 timeout=timeout,
                 issued=boottime(),
-                releases=self.id,
+                is_release=True,
+                hand=self.id,
             )
         finally:
             self.close()
