@@ -212,6 +212,18 @@ def test_the_base_stands_when_the_lease_is_over_and_no_command_comes() -> None:
     assert still(harness, 1.0)
 
 
+def test_a_command_that_arrives_after_the_lease_is_no_renewal() -> None:
+    """The daemon was late by less than a stall: the command is read before the next tick."""
+    harness, hand = standing()
+    hand.take()
+    hand.drive(0.5)
+    harness.advance(LEASE, ticks=False)
+    hand.word()
+    harness.advance(0.05)
+    assert harness.twist.is_zero
+    assert harness.status.driven_by == ""
+
+
 def test_a_start_that_was_asked_for_before_the_loss_ends_no_hold() -> None:
     harness, _ = driven()
     late = harness.request("resume")

@@ -92,6 +92,7 @@ class History:
         hand, other = self.any_hand(), self.any_hand()
         stolen = HandOn(self.harness, hand.driver)
         stolen.id = other.id
+        stolen.ahead = other.ahead
         stolen.order = 10_000
         if hand is not other:
             stolen.word(Twist(0.3))
