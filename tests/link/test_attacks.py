@@ -82,6 +82,7 @@ def test_every_kind_of_datagram_has_its_signers() -> None:
         "RunLease": "operator",
         "Swarm": "",
         "StatusPart": "",
+        "Drive": "operator permit",
     }
     assert {kind.__name__: " ".join(sorted(roles)) for kind, roles in SIGNERS.items()} == wanted
     assert set(SIGNERS) == set(get_args(Datagram))

@@ -93,6 +93,8 @@ VERBS = dict((
           "Emergency-stop robots, or all robots; latched.", folder="stop"),
     _verb("reset", MOVE, "--all",
           "Clear emergency stops and faults; moves nothing.", folder="stop"),
+    _verb("drive", MOVE, "tb3-03",
+          "Drive one robot by hand, with the keys of a terminal.", folder="drive"),
     _verb("param", MOVE, "set --all speed=0.2", "Get or set parameters of running patterns."),
     _verb("resume", MOVE, "tb3-07", "Let robots take up the goal that they were offered.", "goal"),
     _verb("undo", MOVE, "", "Set the goal before the present one again.", "goal"),
