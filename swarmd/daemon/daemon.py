@@ -554,6 +554,7 @@ class Daemon:
         self.step(events.RosterInput(taken.text, taken.is_revoked))
         if foreign := self._goals.foreign(self._robot.goals):
             self.step(events.ForgetInput(foreign))
+        self._permits.take_roster()
         self._network.take_identity(taken.identity)
         self._puller.take_identity(taken.identity)
         self._pattern_intake.check_again()

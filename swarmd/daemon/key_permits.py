@@ -44,12 +44,26 @@ class KeyPermits:
         self._identity = identity
         self._present_run = present_run
         self._wall = wall
+        # The names that had a permit on a roster of this life of the daemon.
+        self._permitted: frozenset[str] = frozenset()
+        self.take_roster()
+
+    def take_roster(self) -> None:
+        """Take note of a new roster, which `identity` returns from now on.
+
+        What a name asked under its permit may still come: by a link that is not closed yet, and by
+        the relay of a robot that has an older roster. Without its permit the name may ask nothing.
+        """
+        identity = self._identity()
+        if identity is not None:
+            self._permitted |= identity.roster.permits.keys()
 
     def judge(self, request: AnyRequest) -> AnyRequest | Denial:
         """The request as its permit permits it, or why this robot refuses it."""
         permit = self._of(request.operator)
         if permit is None:
-            return request
+            gone = self._fault_of_former(request.operator)
+            return Denial(gone) if gone else request
         wall = self._wall()
         return judge(permit, request, self._robot, wall=wall, running=self._present_run())
 
@@ -63,8 +77,10 @@ class KeyPermits:
         if permit is None:
             # A permit of the roster before ends with that roster; a stop of an operator counts on.
             is_of_permit = author is not None and author.role is Role.PERMIT
-            gone = f"{stop.operator} is no longer on the roster"
-            return StopVerdict(None, gone) if is_of_permit else StopVerdict(stop)
+            gone = self._fault_of_former(stop.operator)
+            if is_of_permit and not gone:
+                gone = f"{stop.operator} sent it under a permit that has ended"
+            return StopVerdict(None, gone) if gone else StopVerdict(stop)
         name = stop.operator
         is_for_this = stop.targets is None or self._robot in stop.targets
         if text := fault_of_time(permit, self._robot, self._wall()):
@@ -82,6 +98,14 @@ class KeyPermits:
         """The name of the permit of a key, such as `pupils`; empty without a permit."""
         permit = self._of(name)
         return "" if permit is None else permit.role
+
+    def _fault_of_former(self, name: str) -> str:
+        """Why a name without a permit may ask nothing: it had one; empty if it may."""
+        owner = owner_of(name)
+        identity = self._identity()
+        if identity is None or owner not in self._permitted:
+            return ""
+        return "" if owner in identity.roster.operators else f"{name} has no permit any more"
 
     def _robots(self) -> tuple[str, ...]:
         identity = self._identity()

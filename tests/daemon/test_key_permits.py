@@ -15,7 +15,7 @@ from swarmd.core.goal import Goal
 from swarmd.core.incident import Incident, IncidentKind, mark_part
 from swarmd.core.messages import Code, Epoch, Reply
 from swarmd.core.refusal import Refusal
-from swarmd.core.verbs import AuditEntry, Request, RunRequest, StopRequest
+from swarmd.core.verbs import AuditEntry, Request, ResetRequest, RunRequest, StopRequest
 from swarmd.daemon import incidents
 from swarmd.daemon.audit import Audit
 from swarmd.daemon.driver_commands import permission_fault
@@ -50,6 +50,7 @@ class Rig:
 
     def __init__(self, robot: str = "r1") -> None:
         keyring = Keyring(("r1", "r2"), operators=("anna",), permits={"pupil": PUPIL})
+        self.keyring = keyring
         self.permits = KeyPermits(
             robot,
             lambda: keyring.identity(robot),
@@ -140,6 +141,37 @@ def test_a_request_with_the_id_of_one_that_waits_does_not_get_its_reply() -> Non
     rig.server.reply(Reply(id="run-1", robot="r1", code=Code.APPLIED, text=""))
     assert [reply.code for reply in of_anna.replies] == [Code.APPLIED]
     assert [entry.operator for entry in rig.entries] == ["anna"]
+
+
+def test_a_name_that_was_promoted_is_judged_no_more() -> None:
+    rig = Rig()
+    rig.keyring.roster = replace(
+        rig.keyring.roster, permits={}, operators={"anna": bytes(64), "pupil": bytes(64)}
+    )
+    rig.permits.take_roster()
+    rig.by_zenoh(run("flocking"))
+    assert len(rig.handed) == 1
+
+
+@pytest.mark.parametrize("door", [Rig.by_zenoh, Rig.by_own_system])
+def test_a_revoked_permit_is_no_key_without_bounds(door: Door) -> None:
+    """The links of the roster before stay open for a moment, in which answers are sent."""
+    rig = Rig()
+    rig.keyring.renew(remove=("pupil",))
+    rig.permits.take_roster()
+    asked = (
+        run(),
+        replace(run("flocking"), id="run-2"),
+        StopRequest(id="s", operator="pupil"),
+        ResetRequest(id="r", operator="pupil", targets={"r1": EPOCH}),
+    )
+    for request in asked:
+        rig.replies.clear()
+        door(rig, request)
+        assert rig.handed == []
+        (reply,) = rig.replies
+        assert (reply.code, reply.refusal) == (Code.REFUSED, Refusal.NOT_PERMITTED)
+        assert "pupil has no permit any more" in reply.text
 
 
 def test_the_names_of_operators_and_of_relays_are_not_judged() -> None:
