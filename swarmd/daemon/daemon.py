@@ -478,6 +478,11 @@ class Daemon:
 
     def on_input(self, input: events.Input) -> None:
         """Hand the robot an input that came from a peer; audit an adopted latch or goal."""
+        judged = self._permits.judge_input(input)
+        if judged is None:
+            self._drops.add("permit:spread")
+            return
+        input = judged
         robot = self._robot
         held = set(robot.latches)
         goal = robot.goal
