@@ -1,6 +1,7 @@
 """Serves the page of a swarm: static files, and one WebSocket for each page that is open.
 
-The messages on the WebSocket:
+`/metrics` has the figures of a living swarm for programs (`metrics.py`). The messages on the
+WebSocket:
 
 - to the page, as JSON: `hello` (robots and patterns), `rows` (statuses by robot), `detail` (of a
   selected robot), `boxes`, `links`, `programs`, `playback`, `plots`, `marks` (events), `notice` and
@@ -41,14 +42,23 @@ from swarmd.core.clock import boottime
 from swarmd.core.errors import SwarmError
 from swarmd.core.token_bucket import TokenBucket
 from swarmd.operator.client.input_watch import TOO_LATE, InputWatch
-from swarmd.operator.view.access import HEADERS, Access, check_address, page_url, unusable
+from swarmd.operator.view.access import (
+    HEADERS,
+    Access,
+    bearer_token,
+    check_address,
+    page_url,
+    unusable,
+)
 from swarmd.operator.view.client import Client, Rows
 from swarmd.operator.view.history import History, Survey
+from swarmd.operator.view.metrics import CONTENT_TYPE
 from swarmd.operator.view.playback import Playback
 from swarmd.operator.view.source import (
     DETAIL_KEYS,
     STOPS,
     CommandProgress,
+    Measured,
     Source,
     json_of,
     pack_frame,
@@ -178,9 +188,11 @@ class ViewServer:
     def _static(self, connection: ServerConnection, request: Request) -> Response | None:
         if not self._access.allows(request.headers):
             return connection.respond(http.HTTPStatus.FORBIDDEN, "a page of another site\n")
-        path = request.path.partition("?")[0]
+        path, _, query = request.path.partition("?")
         if path == "/socket":
             return None
+        if path == "/metrics":
+            return self._metrics(connection, request, query)
         name = "index.html" if path == "/" else path[1:]
         file = files("swarmd.operator.view").joinpath(PAGE, name)
         if _FILE.fullmatch(name) is None or not file.is_file():
@@ -188,6 +200,21 @@ class ViewServer:
         kind = mimetypes.guess_type(name)[0] or "application/octet-stream"
         body = file.read_bytes()
         about = {"Content-Type": f"{kind}; charset=utf-8", "Content-Length": str(len(body))}
+        return Response(200, "OK", Headers(about | HEADERS), body)
+
+    def _metrics(self, connection: ServerConnection, request: Request, query: str) -> Response:
+        """The figures of the swarm, for whoever may open a page."""
+        token = parse_qs(query).get("token", [""])[0] or bearer_token(request.headers)
+        if not self._access.role(token):
+            text = "expected the token of a page: Authorization: Bearer TOKEN\n"
+            response = connection.respond(http.HTTPStatus.UNAUTHORIZED, text)
+            response.headers["WWW-Authenticate"] = "Bearer"
+            return response
+        if not isinstance(self.source, Measured):
+            text = "figures are of a living swarm: swarmctl view --web\n"
+            return connection.respond(http.HTTPStatus.NOT_FOUND, text)
+        body = self.source.metrics().encode()
+        about = {"Content-Type": CONTENT_TYPE, "Content-Length": str(len(body))}
         return Response(200, "OK", Headers(about | HEADERS), body)
 
     # Pages
