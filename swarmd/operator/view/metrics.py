@@ -97,7 +97,8 @@ class _Figures:
         if value is None:
             return
         inside = ",".join(f'{key}="{text.translate(_ESCAPES)}"' for key, text in labels.items())
-        self._lines[family].append(f"{family}{{{inside}}} {_number(value)}\n")
+        braced = f"{{{inside}}}" if inside else ""
+        self._lines[family].append(f"{family}{braced} {_number(value)}\n")
 
     def add_one_of(
         self, family: str, robot: str, label: str, present: str, all_values: Iterable[str]
