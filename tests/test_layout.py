@@ -117,6 +117,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("link/keys",),
     ("robot/sensing", "driver_api", "link"),
     ("operator/session",),
+    ("operator/verbs",),  # what asks, and words
     ("plugins",),
     ("kit", "robot/protection"),
     ("robot/kin", "robot/steering", "operator/texts"),
@@ -127,6 +128,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("pattern_host", "operator/acceptance", "operator/client"),
     ("daemon", "operator/replay", "operator/view"),
     ("operator/cli",),
+    ("operator/verbs/drive/command",),
     ("testing",),
 )
 HEIGHT = {name: n for n, layer in enumerate(LAYERS) for name in layer}

@@ -32,6 +32,7 @@ from swarmd.core.values import (
     PeerPlace,
     Scan,
     SharedPose,
+    Twist,
     Value,
 )
 from swarmd.core.verbs import Request
@@ -196,6 +197,19 @@ class RequestInput(Struct, frozen=True, array_like=True, tag="request"):
     request: Request
 
 
+class DriveInput(Struct, frozen=True, array_like=True, tag="drive"):
+    """A command of the operator `driver`, who drives the robot by the hand `hand`.
+
+    `order` rises with each command of the hand. `sent`: s on the clock of the sender.
+    """
+
+    hand: Name
+    driver: Annotated[str, Meta(max_length=128)]
+    order: Count
+    sent: Seconds
+    twist: Twist
+
+
 class CodeInput(Struct, frozen=True, array_like=True, tag="code"):
     """The code of a pattern was replaced or removed: the next run uses a fresh host."""
 
@@ -266,6 +280,7 @@ Input = (
     | DuplicateInput
     | HostInput
     | RequestInput
+    | DriveInput
     | CodeInput
     | ProvisionalInput
     | ForgetInput

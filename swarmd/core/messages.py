@@ -91,6 +91,7 @@ class Reason(StrEnum):
     COMMAND_EXPIRED = "command_expired"
     DRIVER_LOST = "driver_lost"
     INCOMPATIBLE_PEER = "incompatible_peer"
+    HAND_LOST = "hand_lost"  # who drove the robot was not heard; its run waits
     NO_POSE = "no_pose"  # the robot has a fence, and no usable pose in its frame
     PATTERN_RESTARTING = "pattern_restarting"
     # running, with a command of zero
@@ -452,6 +453,7 @@ class Status(Struct, frozen=True, kw_only=True):
     - `set_down`: None if the protection mode has no such distance.
     - `held_for`: for how many s protection has kept a robot in place that asks for motion and has
       free floor ahead or behind; None below 10 s.
+    - `driven_by`: the operator who drives the robot by hand; empty without one.
     """
 
     robot: Name
@@ -499,6 +501,7 @@ class Status(Struct, frozen=True, kw_only=True):
     words: dict[Word, Line] = {}
     set_down: Annotated[SetDown | None, shown("Protection", "set down")] = None
     held_for: Annotated[Seconds | None, shown("Protection", "held for", "s")] = None
+    driven_by: Annotated[Word, shown("State", "driven by")] = ""
 
 
 class Motion(Struct, frozen=True, array_like=True):

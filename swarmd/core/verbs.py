@@ -161,6 +161,21 @@ class ResetRequest(_EpochRequest, frozen=True, kw_only=True, tag="reset"):
     reason: ReasonText = ""
 
 
+class DriveRequest(_EpochRequest, frozen=True, kw_only=True, tag="drive"):
+    """Take a robot by hand, or release it; the commands come as datagrams (`link/datagram.py`).
+
+    - `is_release`: the hand ends that the request with the id `hand` began; else a hand begins. The
+      epoch is not compared for a release: the hand may have been there for minutes.
+    - `seconds`: after them the hand is lost; None: no bound.
+    - `speed`: the greatest speed in m/s, beside that of the robot; None: no bound.
+    """
+
+    is_release: bool = False
+    hand: Word = ""
+    seconds: Annotated[float, Meta(gt=0.0, le=1e7)] | None = None
+    speed: Annotated[float, Meta(gt=0.0, le=100.0)] | None = None
+
+
 class ParamRequest(_EpochRequest, frozen=True, kw_only=True, tag="param"):
     """Set parameters of the running pattern."""
 
@@ -268,6 +283,7 @@ Request = (
     | EstopRequest
     | ResetRequest
     | ParamRequest
+    | DriveRequest
     | ReloadRequest
     | ResumeRequest
     | GoalRequest
@@ -277,8 +293,9 @@ AnyRequest = Request | ForgetRequest | RecordRequest | MarkRequest | RosterReque
 
 
 def starts_motion(request: AnyRequest) -> bool:
-    """True for a start: a request that may start a run."""
+    """True for a start: a request that may start a run, or takes a robot by hand."""
     always = isinstance(request, RunRequest | ResumeRequest)
+    always |= isinstance(request, DriveRequest) and not request.is_release
     return always or (isinstance(request, ReloadRequest | PushRequest) and request.is_rerun)
 
 
@@ -798,6 +815,7 @@ _ROWS: tuple[Verb[Any, Any], ...] = (
     _request(EstopRequest, _ROBOT, _reason_line),
     _request(ResetRequest, _ROBOT, _reset_line),
     _request(ParamRequest, _ROBOT, lambda request: _assignments(request.params)),
+    _request(DriveRequest, _ROBOT, lambda request: "released" if request.is_release else ""),
     _request(ReloadRequest, _ROBOT, lambda request: request.pattern),
     _request(PushRequest, Handler.PUSHES, _push_line),
     _request(ForgetRequest, _TOOLS, lambda request: request.name),

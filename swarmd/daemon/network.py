@@ -22,6 +22,7 @@ from swarmd.core.clock import ClockSample, boottime, clock_id
 from swarmd.core.codec import decode_value
 from swarmd.core.errors import CodecError, IdHeldError, fail_stop
 from swarmd.core.events import (
+    DriveInput,
     DuplicateInput,
     GoalInput,
     Input,
@@ -34,7 +35,7 @@ from swarmd.core.events import (
 from swarmd.core.goal import Goal
 from swarmd.core.kin_message import KinMessage
 from swarmd.core.messages import Body, Member, Presence, Reply
-from swarmd.core.values import SharedPose
+from swarmd.core.values import SharedPose, Twist
 from swarmd.daemon.connection import NetworkConnection
 from swarmd.daemon.datagram_guard import DatagramGuard
 from swarmd.link.carriers.bus import ZenohBus
@@ -585,6 +586,10 @@ class Network:
             if heard.age is None:
                 self.drops.add("lease:unproven")
             self._owner.on_input(LeaseInput(heard.lease.id, heard.lease.count, heard.age))
+        for drive in actions.drives:
+            twist = Twist(drive.linear, drive.angular, drive.lateral)
+            sent = drive.sent / 1000.0  # s; the datagram has ms
+            self._owner.on_input(DriveInput(drive.hand, drive.operator, drive.order, sent, twist))
         for _ in range(actions.invalid_goals):
             self.drops.add("goal:invalid")
         for message in actions.messages:

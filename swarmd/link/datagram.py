@@ -61,6 +61,8 @@ Hops = Annotated[int, Meta(ge=0, le=MAX_HOPS)]
 Host = Annotated[str, Meta(max_length=64)]
 Short = Annotated[str, Meta(max_length=128)]
 Reason = Annotated[str, Meta(max_length=256)]
+HandSpeed = Annotated[float, Meta(ge=-100.0, le=100.0)]
+"""m/s or rad/s: beyond what any platform does."""
 
 
 class Kind(IntEnum):
@@ -80,6 +82,7 @@ class Kind(IntEnum):
     GOAL = 12
     RUN_LEASE = 13
     KIN = 14
+    DRIVE = 15
 
 
 class Flag(IntFlag):
@@ -336,6 +339,24 @@ class KinReport(_Datagram, frozen=True, kw_only=True):
     message: KinMessage
 
 
+class Drive(_Datagram, frozen=True, kw_only=True):
+    """A command of the operator who drives `robot` by hand, sent ten times a second.
+
+    `hand`: the id of the request by which the robot was taken. `order` rises with each command.
+    `sent`: on the sender's clock, from which the robot knows a late command. Speeds in m/s and
+    rad/s.
+    """
+
+    robot: RobotId
+    hand: Name
+    operator: Short
+    order: Number
+    sent: Milliseconds
+    linear: HandSpeed
+    angular: HandSpeed
+    lateral: HandSpeed = 0.0
+
+
 class ClockQuery(_Datagram, frozen=True, kw_only=True):
     """Asks a robot for its clock's time; `sent`: on the asker's clock, repeated in the answer."""
 
@@ -374,6 +395,7 @@ Datagram = (
     | GoalReport
     | RunLease
     | KinReport
+    | Drive
 )
 """In the order of `Kind`."""
 _TYPES: dict[Kind, type[_Datagram]] = dict(zip(Kind, get_args(Datagram), strict=True))

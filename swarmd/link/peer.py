@@ -32,6 +32,7 @@ from swarmd.link.datagram import (
     ClockQuery,
     ClockReply,
     Datagram,
+    Drive,
     Flag,
     GoalReport,
     KinReport,
@@ -154,6 +155,7 @@ class PeerActions:
     goals: list[FoundGoal] = field(default_factory=list)  # goals that peers have shown
     invalid_goals: int = 0  # goals that their issuer has not signed
     leases: list[HeardLease] = field(default_factory=list)  # leases of operators
+    drives: list[Drive] = field(default_factory=list)  # commands of a hand on this robot
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -326,6 +328,9 @@ class Peer:
                 self._on_goal(body, now, actions)
             case RunLease():
                 self._on_lease(body, now, actions)
+            case Drive():
+                if body.robot == self.robot and self._claim is None:
+                    actions.drives.append(body)
             case Message():
                 self._on_message(body, actions)
             case ClockQuery():

@@ -193,7 +193,8 @@ class GoalHandler:
             return
         loads_greater_goal = _is_for_greater_goal(loading, goal)
         ends_load = loading is not None and not loads_greater_goal
-        ends_run_or_load = lifecycle.is_running or ends_load
+        ends_hand = goal.pattern is None and self._is_after_hand(age, now)
+        ends_run_or_load = lifecycle.is_running or ends_load or ends_hand
         was_idle = lifecycle.state_machine.state is State.IDLE
         lifecycle.log(f"found {goal.text}", now)
         if ends_run_or_load:
@@ -206,6 +207,13 @@ class GoalHandler:
         if waits_for_operator or loads_greater_goal or lifecycle.battery.is_low:
             may_join = False
         goals.adopt(goal, age, now, may_join=may_join)
+
+    def _is_after_hand(self, age: float | None, now: float) -> bool:
+        """True if a hand is there, and a goal of this age was set after it, or may have been."""
+        hand = self._lifecycle.pattern_run.hand
+        if hand is None:
+            return False
+        return age is None or not IssueTime(now - age).is_surely_before(hand.wish.issued)
 
     def join_if_settled(self, effects: Effects) -> None:
         """Join the own goal: run it without a request of an operator, if all rules permit that.

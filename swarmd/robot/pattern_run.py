@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
     from swarmd.core.host_messages import Loaded, ParamSources
     from swarmd.core.values import Outputs, Scalar, Twist
+    from swarmd.robot.hand import Hand
     from swarmd.robot.pattern_load import Loading, Wish
     from swarmd.robot.protection.decision import Permit
 
@@ -107,6 +108,7 @@ class PatternRun:
     - `stepped_generation`: the generation (number of a load) whose pattern got the last step.
     - `is_due`: a step became due while the host was busy.
     - `is_outdated`: the host may contain replaced code.
+    - `hand`: the operator who drives the robot, or whose hand was lost; None without one.
     - `restarts`: the count of all faults since the start of the daemon.
     """
 
@@ -118,6 +120,7 @@ class PatternRun:
     stepped_generation: int = cython.declare(object, visibility="public")
     is_due = cython.declare(cython.bint, visibility="public")
     is_outdated = cython.declare(cython.bint, visibility="public")
+    hand: Hand | None = cython.declare(object, visibility="public")
     generation: int = cython.declare(object, visibility="public")
     restarts = cython.declare(cython.Py_ssize_t, visibility="public")
     _faults: deque[float]
@@ -241,6 +244,8 @@ class PatternRun:
         if self.loading is not None:
             return -INFINITY
         soonest = self.awaiting_since + _STEP_TIMEOUT
+        if self.hand is not None:
+            soonest = min(soonest, self.hand.due_at)
         if running is not None:
             soonest = min(soonest, running.requested_at + running.expiry, running.finish_at)
         return soonest
@@ -261,9 +266,11 @@ class PatternRun:
         """The next deadline after `now`; inf without one."""
         running = self.running
         soonest = later(self.awaiting_since + _STEP_TIMEOUT, now)
+        if self.hand is not None:
+            soonest = min(soonest, later(self.hand.due_at, now))
         if running is not None:
             if self.awaiting_since == INFINITY and self.loading is None:
-                soonest = later(self.last_step + running.period, now)
+                soonest = min(soonest, later(self.last_step + running.period, now))
             soonest = min(soonest, later(running.requested_at + running.expiry, now))
             soonest = min(soonest, later(running.finish_at, now))
         soonest = min(soonest, later(self.restart_at, now))

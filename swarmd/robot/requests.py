@@ -49,6 +49,7 @@ from swarmd.core.keys import is_id
 from swarmd.core.messages import Latch, Reason, State
 from swarmd.core.refusal import Refusal
 from swarmd.robot.goal_handler import GoalHandler, fault_of
+from swarmd.robot.hand import Hand
 from swarmd.robot.issue_time import IssueTime
 from swarmd.robot.pattern_load import PendingParams, Trial, Wish, load_command
 from swarmd.robot.sensors import Sensors
@@ -58,7 +59,7 @@ if TYPE_CHECKING:
     from swarmd.robot.effects import Effects
     from swarmd.robot.protection.protection import Protection
 
-Start = verbs.RunRequest | verbs.ResumeRequest | verbs.ReloadRequest
+Start = verbs.RunRequest | verbs.ResumeRequest | verbs.ReloadRequest | verbs.DriveRequest
 
 TRIAL_TIMEOUT = 10.0
 MAX_STOPS = 64  # ids of stops that are remembered
@@ -114,7 +115,9 @@ class RequestHandler:
         """Carry the request out or refuse it; no reply if the request targets only other robots."""
         if request.targets is not None and self._robot not in request.targets:
             return
-        if verbs.VERBS[request.verb].needs_epoch and (refusal := self._refusal_of(request)):
+        is_release = isinstance(request, verbs.DriveRequest) and request.is_release
+        needs_epoch = verbs.VERBS[request.verb].needs_epoch and not is_release
+        if needs_epoch and (refusal := self._refusal_of(request)):
             self._lifecycle.refuse(effects, request, *refusal)
         else:
             getattr(self, f"on_{request.verb}")(request, effects)
@@ -180,6 +183,10 @@ class RequestHandler:
         """
         lifecycle = self._lifecycle
         running = self._lifecycle.pattern_run.running
+        hand = self._lifecycle.pattern_run.hand
+        if hand is not None and not stop.is_before(hand.wish):
+            lifecycle.raise_revision(f"{request.operator} (stop)")
+            lifecycle.drop_hand(f"stopped by {request.operator}", effects)
         if running is not None and not stop.is_before(running.wish):
             lifecycle.raise_revision(f"{request.operator} (stop)")
             lifecycle.stop(Reason.OPERATOR, f"by {request.operator}", effects, keeps_load=True)
@@ -231,8 +238,70 @@ class RequestHandler:
         wish = self._wish_of(request, effects.now)
         if why := self._refusal_to_start(request, wish, effects.now):
             self._lifecycle.refuse(effects, request, *why)
+        elif self._may_go_on(request):
+            self._go_on(request, effects)
         else:
             self._goals.resume(request, wish, effects)
+
+    def _may_go_on(self, request: verbs.ResumeRequest) -> bool:
+        """True if a resume lets the run go on that a lost hand holds."""
+        lifecycle = self._lifecycle
+        own = lifecycle.goals.own
+        is_of_other = request.digest and (own is None or request.digest != own.digest.hex())
+        return lifecycle.is_running and lifecycle.has_lost_hand and not is_of_other
+
+    def _go_on(self, request: verbs.ResumeRequest, effects: Effects) -> None:
+        """Let the run go on that a lost hand holds."""
+        lifecycle = self._lifecycle
+        run = lifecycle.pattern_run
+        assert run.running is not None
+        lifecycle.raise_revision(f"{request.operator} (resume {run.running.pattern})")
+        run.hand = None
+        lifecycle.applied(effects, request, f"{run.running.pattern} goes on")
+
+    def on_drive(self, request: verbs.DriveRequest, effects: Effects) -> None:
+        """Begin a hand, or end one by the word of its driver; or refuse."""
+        if request.is_release:
+            self._release(request, effects)
+            return
+        lifecycle = self._lifecycle
+        run = lifecycle.pattern_run
+        wish = self._wish_of(request, effects.now)
+        why = self._refusal_of_state() or self._refusal_of_wish(request, wish, effects.now)
+        if why is not None:
+            lifecycle.refuse(effects, request, *why)
+        elif run.hand is not None and run.hand.is_driving:
+            lifecycle.refuse(effects, request, Refusal.BUSY, f"driven by {run.hand.driver}")
+        else:
+            lifecycle.raise_revision(f"{request.operator} (drive)")
+            lifecycle.log(f"driven by {request.operator}", effects.now)
+            run.hand = Hand(request, wish, effects.now)
+            waits = "" if run.running is None else f"{run.running.pattern} waits"
+            remarks = (f"driven by {request.operator}", waits, lifecycle.base_fault)
+            lifecycle.applied(effects, request, "; ".join(filter(None, remarks)))
+
+    def _release(self, request: verbs.DriveRequest, effects: Effects) -> None:
+        """End the hand by the word of its driver: a run beneath it goes on."""
+        lifecycle = self._lifecycle
+        run = lifecycle.pattern_run
+        hand = run.hand
+        if hand is None or hand.id != request.hand:
+            text = f"this hand is over already: changed by {lifecycle.changed_by}"
+            lifecycle.refuse(effects, request, Refusal.OVERTAKEN, text)
+        elif hand.driver != request.operator:
+            text = f"driven by {hand.driver}"
+            lifecycle.refuse(effects, request, Refusal.NOT_PERMITTED, text)
+        elif not hand.is_driving:
+            text = f"the hand {hand.lost_text}; resume lets the run go on"
+            lifecycle.refuse(effects, request, Refusal.OVERTAKEN, text)
+        else:
+            lifecycle.raise_revision(f"{request.operator} (drive, released)")
+            lifecycle.log(f"released by {request.operator}", effects.now)
+            run.hand = None
+            is_on = run.running is not None
+            state = lifecycle.state_machine.state
+            what = f"{run.running.pattern} goes on" if is_on and run.running else str(state)
+            lifecycle.applied(effects, request, f"released; {what}")
 
     def on_goal(self, request: verbs.GoalRequest, effects: Effects) -> None:
         """Set the goal without a run."""
@@ -305,15 +374,19 @@ class RequestHandler:
         self, request: Start, wish: Wish, now: float
     ) -> tuple[Refusal, str] | None:
         """Why no run of this wish can start in the present state; None if a run can start."""
-        machine = self._lifecycle.state_machine
-        if machine.state in (State.ESTOPPED, State.FAULTED):
-            is_estopped = machine.state is State.ESTOPPED
-            refusal = Refusal.ESTOPPED if is_estopped else Refusal.FAULTED
-            return refusal, f"{machine.state} ({machine.reason}) {machine.detail}; reset it first"
-        if too_old := self._refusal_of_wish(request, wish, now):
-            return too_old
+        if why := self._refusal_of_state() or self._refusal_of_wish(request, wish, now):
+            return why
         text = under_way(self._lifecycle)
         return (Refusal.BUSY, text) if text else None
+
+    def _refusal_of_state(self) -> tuple[Refusal, str] | None:
+        """Why nothing moves the robot before a reset; None if it needs none."""
+        machine = self._lifecycle.state_machine
+        if machine.state not in (State.ESTOPPED, State.FAULTED):
+            return None
+        is_estopped = machine.state is State.ESTOPPED
+        refusal = Refusal.ESTOPPED if is_estopped else Refusal.FAULTED
+        return refusal, f"{machine.state} ({machine.reason}) {machine.detail}; reset it first"
 
     def _refusal_of_wish(
         self, request: Start, wish: Wish, now: float

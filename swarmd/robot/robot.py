@@ -154,7 +154,8 @@ class Robot(Ticker):
     def reason(self) -> Reason | None:
         """The one reason why the robot does not move; None while the robot moves."""
         machine = self._machine
-        return self.decision.reason if machine.state is State.RUNNING else machine.reason
+        is_decided = machine.state is State.RUNNING or self._lifecycle.is_driven
+        return self.decision.reason if is_decided else machine.reason
 
     @property
     def identity(self) -> RobotIdentity:
@@ -285,6 +286,11 @@ class Robot(Ticker):
         effects = self._begin(now)
         lifecycle.on_battery(settings, effects)
         return self._settle(effects)
+
+    def _on_drive(self, one: events.DriveInput, now: float) -> Actions | None:
+        if not self._lifecycle.on_drive(one, now):
+            return None
+        return self._settle(self._begin(now))
 
     @_settled
     def _on_hazards(self, one: events.HazardsInput, effects: Effects) -> None:
@@ -513,6 +519,7 @@ class Robot(Ticker):
             tuple(lifecycle.latches.held),
             self._sensors.is_driver_up,
             self._sensors.hazards.present,
+            None if lifecycle.pattern_run.hand is None else lifecycle.pattern_run.hand.id,
         )
 
 
@@ -553,6 +560,7 @@ HANDLERS: dict[type[Input], Callable[[Robot, Any, float], Actions | None]] = {
     events.RequestInput: _settled(
         lambda robot, one, effects: robot._requests.answer(one.request, effects)
     ),
+    events.DriveInput: Robot._on_drive,
     events.CodeInput: _settled(lambda robot, one, effects: robot._lifecycle.outdate_host(effects)),
     events.ProvisionalInput: Robot._on_provisional,
     events.ForgetInput: Robot._on_forget,

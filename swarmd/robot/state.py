@@ -79,6 +79,7 @@ from swarmd.robot.timeouts import (
 )
 
 if TYPE_CHECKING:
+    from swarmd.core.events import DriveInput
     from swarmd.robot.effects import Effects
 
 
@@ -162,6 +163,7 @@ MAX_TEXT = 300  # characters
 # The load of a next run that was already requested continues; a load has a timeout of its own.
 _ENDS_RUN_ALONE = frozenset({Trigger.FINISH, Trigger.HOLD_LASTED})
 _BARS_GOALS = frozenset({Reason.OPERATOR, Reason.ESTOP, Reason.RESET, Reason.LOW_BATTERY})
+_KEEPS_HAND = frozenset({Trigger.FINISH, Trigger.LOAD_FAILED})
 _ENDS_TRIAL = frozenset({Trigger.STOP, Trigger.ESTOP, Trigger.STALL, Trigger.NETWORK})
 
 
@@ -201,6 +203,7 @@ class Lifecycle:
         self.events: deque[LoggedEvent] = deque(maxlen=MAX_EVENTS)
         self.params_request: PendingParams | None = None  # the request that waits for the pattern
         self.trial: Trial | None = None  # the present trial of new code
+        self.ignored_commands = 0  # of hands: late, repeated, or of nobody who drives
         self.hold_since = math.inf  # s, own clock, of the present hold; inf without a hold
         self.wrong_type_count = 0  # messages with a value of an undeclared type
         # The generations (numbers) of the loads whose code is provisional: pushed by an operator,
@@ -219,6 +222,18 @@ class Lifecycle:
     def is_running(self) -> bool:
         """True in state running."""
         return self.state_machine.state is State.RUNNING
+
+    @property
+    def is_driven(self) -> bool:
+        """True while an operator drives the robot by hand."""
+        hand = self.pattern_run.hand
+        return hand is not None and hand.is_driving
+
+    @property
+    def has_lost_hand(self) -> bool:
+        """True while a hand that was lost holds the run."""
+        hand = self.pattern_run.hand
+        return hand is not None and not hand.is_driving
 
     @property
     def epoch(self) -> Epoch:
@@ -340,6 +355,9 @@ class Lifecycle:
         """Tell the goals of the new run, and answer its request; `note`: remark of the host."""
         now = effects.now
         effects.is_new_run = True
+        hand = self.pattern_run.hand
+        if hand is not None and loading.wish.at > hand.lost_at:
+            self.pattern_run.hand = None
         self.report = {}
         self.goals.on_running(
             loading.goal,
@@ -532,6 +550,7 @@ class Lifecycle:
         was_running = self.is_running
         self.state_machine.apply(trigger, reason, shortened(detail, MAX_TEXT), effects.now)
         end_text = f"{self.state_machine.state} ({reason}) {detail}".rstrip()
+        self._end_hand(trigger, end_text, effects)
         if reason is not Reason.LEAVING:  # when the daemon ends, the robot keeps its goal
             self.goals.on_end(shortened(end_text, MAX_TEXT))
         if reason in _BARS_GOALS:  # the robot joins no goal that was set before now
@@ -540,6 +559,26 @@ class Lifecycle:
             self.log(end_text, effects.now)
         if was_running:
             effects.ended = shortened(end_text, MAX_TEXT)
+
+    def _end_hand(self, trigger: Trigger, text: str, effects: Effects) -> None:
+        """End the hand, unless the run ended by itself; a lost one if nothing is left to hold."""
+        run = self.pattern_run
+        hand = run.hand
+        if hand is None:
+            return
+        if hand.is_driving:
+            is_over = trigger not in _KEEPS_HAND
+        else:
+            is_over = run.running is None and run.loading is None
+        if is_over:
+            self.drop_hand(text, effects)
+
+    def drop_hand(self, text: str, effects: Effects) -> None:
+        """End the hand, for the reason `text`; state and run stay."""
+        hand = self.pattern_run.hand
+        if hand is not None:
+            self.log(f"no longer driven by {hand.driver}: {text}", effects.now)
+            self.pattern_run.hand = None
 
     def stop(
         self, reason: Reason, detail: str, effects: Effects, *, keeps_load: bool = False
@@ -614,6 +653,13 @@ class Lifecycle:
         effects.command_host(self._load_command)
         run.is_outdated = False
 
+    def on_drive(self, one: DriveInput, now: float) -> bool:
+        """Take in a command of who drives the robot by hand; False if it is ignored."""
+        hand = self.pattern_run.hand
+        is_heard = hand is not None and hand.hear(one, now)
+        self.ignored_commands += not is_heard
+        return is_heard
+
     def outdate_host(self, effects: Effects) -> None:
         """Make the next load use a fresh host; the running pattern continues."""
         run = self.pattern_run
@@ -650,20 +696,21 @@ class Lifecycle:
         """
         self.raise_revision(f"a stall of {late:.1f} s")
         detail = f"the daemon did not run for {late:.1f} s"
-        is_busy = self.pattern_run.loading is not None or self.trial is not None
+        run = self.pattern_run
+        is_busy = run.loading is not None or self.trial is not None or run.hand is not None
         if self.state_machine.state is State.IDLE and not is_busy:
             self.log(detail, effects.now)
             return
         self._end(Trigger.STALL, Reason.LOOP_STALLED, detail, effects)
 
     def on_hazard(self, text: str, effects: Effects) -> None:
-        """End the run or the load after a wheel drop or a lift (a person holds the robot).
+        """End run, load and hand after a wheel drop or a lift (a person holds the robot).
 
         Requests that quote an earlier epoch are refused from now on, and the robot joins no goal
         that was set before.
         """
         run = self.pattern_run
-        if run.running is None and run.loading is None:
+        if run.running is None and run.loading is None and run.hand is None:
             return
         self.raise_revision(f"a hazard: {text}")
         self._end(Trigger.HAZARD, Reason.HAZARD, text, effects)
@@ -720,23 +767,44 @@ class Lifecycle:
 
         A hold is a present reason for which a running robot stands. `hold`: the hold of the
         sensors, None without one. `hold_text`: the detail of this hold, used if the hold ends the
-        run. Returns the hold of the sensors, else of the pattern; None without a hold or a run.
+        run. Returns the hold of the sensors, else of the pattern, else of a lost hand; None without
+        a hold, or if neither a run nor a hand is there. A robot that is driven by hand is held by
+        its sensors alone.
         """
         now = effects.now
+        self._advance_hand(effects)
         self._advance_load(effects)
         self._advance_answers(effects)
         running = self.pattern_run.running
         if not self.is_running or running is None:
-            return None
+            return hold if self.is_driven else None
         if now >= running.finish_at:
             self._end(Trigger.FINISH, Reason.FINISHED, "its seconds are over", effects)
-            return None
+            return hold if self.is_driven else None
         lease_ends_at = self.goals.lease_ends
         own_goal = self.goals.own
         if lease_ends_at is not None and own_goal is not None and now >= lease_ends_at:
             _end_lease(self, own_goal.goal, effects)
             return None
-        return self._present_hold(hold, effects, hold_text)
+        present = self._present_hold(hold, effects, hold_text)
+        if self.is_driven:
+            return hold
+        if present is None and self.has_lost_hand:
+            return Reason.HAND_LOST
+        return present
+
+    def _advance_hand(self, effects: Effects) -> None:
+        """Lose the hand whose driver was not heard in time."""
+        run = self.pattern_run
+        hand = run.hand
+        if hand is None or effects.now < hand.due_at:
+            return
+        hand.lose(effects.now)
+        # Starts that were asked for before are stale: nothing late ends the hold.
+        self.raise_revision(f"the loss of the hand of {hand.driver}")
+        self.log(f"the hand of {hand.driver} {hand.lost_text}", effects.now)
+        if run.running is None and run.loading is None:
+            run.hand = None
 
     def _advance_load(self, effects: Effects) -> None:
         """Begin the run of a loaded pattern at `start_at`; end a load that takes too long."""

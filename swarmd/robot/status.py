@@ -112,6 +112,7 @@ def make_status(
         words=dict(identity.platform.words.get(setup.driver, {})),
         set_down=set_down(identity.platform, protection.passage),
         held_for=held_for,
+        driven_by=_driver(lifecycle),
         **_layers(identity.platform, setup.settings, sensors, decision, protection, now),
     )
 
@@ -125,11 +126,20 @@ def _detail(lifecycle: Lifecycle, sensors: Sensors, reason: Reason | None, now: 
     loading = lifecycle.pattern_run.loading
     if loading is not None:
         return _loading_text(loading, now)
-    if reason in _DETAILED and lifecycle.is_running:
+    hand = lifecycle.pattern_run.hand
+    if reason is Reason.HAND_LOST and hand is not None:
+        return f"that of {hand.driver} {hand.lost_text}"
+    if reason in _DETAILED and (lifecycle.is_running or lifecycle.is_driven):
         return sensors.hold_text(reason, now)[:MAX_VALUE]
     if lifecycle.latches.held:  # a reset may have cleared others since the change of state
         return shortened(lifecycle.latches.text, MAX_TEXT)
     return lifecycle.state_machine.detail
+
+
+def _driver(lifecycle: Lifecycle) -> str:
+    """Who drives the robot by hand; empty without one."""
+    hand = lifecycle.pattern_run.hand
+    return "" if hand is None or not hand.is_driving else hand.driver
 
 
 def _health(lifecycle: Lifecycle, sensors: Sensors, now: float) -> Health:
@@ -139,6 +149,7 @@ def _health(lifecycle: Lifecycle, sensors: Sensors, now: float) -> Health:
         "msg:not_a_neighbor": sensors.rejected,
         "msg:wrong_type": lifecycle.wrong_type_count,
         "msg:too_much_said": lifecycle.outbox.dropped,
+        "drive:ignored": lifecycle.ignored_commands,
     }
     return Health(
         scan_rate=sensors.scan_rate(now),
@@ -202,7 +213,8 @@ def _loading_text(loading: Loading, now: float) -> str:
 
 def status_reason(lifecycle: Lifecycle, decision: Decision) -> Reason | None:
     """The one reason why the robot does not move; None while the robot moves."""
-    return decision.reason if lifecycle.is_running else lifecycle.state_machine.reason
+    is_decided = lifecycle.is_running or lifecycle.is_driven
+    return decision.reason if is_decided else lifecycle.state_machine.reason
 
 
 def _avoided(decision: Decision, sensors: Sensors, now: float) -> str:

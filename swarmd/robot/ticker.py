@@ -244,7 +244,10 @@ class Ticker:
         sensors = self._sensors
         running = self._run.running
         # How late (s beyond the latency of the platform) scans may be for the running pattern.
-        delay: cython.double = 0.0 if running is None else running.permit.scan_delay
+        hand = self._run.hand
+        is_driven: cython.bint = hand is not None and hand.is_driving
+        delay: cython.double
+        delay = 0.0 if running is None or is_driven else running.permit.scan_delay
         InputAges.permit_delay(sensors, delay)
         hold = InputAges.hold(sensors, now)
         if (
@@ -296,8 +299,9 @@ class Ticker:
         state = self._machine.state
         twist = decision.safe
         requested_scan_seq = -1 if running is None else running.scan_seq
-        is_idle: cython.bint = self._sensors.is_driver_up and state is _IDLE
-        is_stopped: cython.bint = state is not _IDLE and state is not _RUNNING
+        has_hand: cython.bint = self._run.hand is not None
+        is_idle: cython.bint = self._sensors.is_driver_up and state is _IDLE and not has_hand
+        is_stopped: cython.bint = state is not _IDLE and state is not _RUNNING and not has_hand
         is_quiet = False
         latches = self._lifecycle.latches.record() if effects.is_latched else None
         goals = self._kept_goals.take_record() if self._kept_goals.is_changed else None
@@ -335,7 +339,7 @@ class Ticker:
         if self._hold is not None:
             return
         due = self._lifecycle_due_at()
-        if self._machine.state is _RUNNING:
+        if self._machine.state is _RUNNING or self._run.hand is not None:
             due = min(due, InputAges.hold_due_at(self._sensors, now))
         self._due_at = due - ROUNDING
         if not self._is_status_due:
@@ -434,6 +438,11 @@ class Ticker:
             is_running = self._machine.state is _RUNNING
             # A hold permits nothing, and a restart of the pattern is a hold.
             permit = running.permit if hold is None else NOTHING_PERMITTED
+        hand = self._run.hand
+        if hand is not None and hand.is_driving:  # whatever the pattern requests
+            requested = hand.twist
+            is_running = True
+            permit = hand.permit if hold is None else NOTHING_PERMITTED
         try:
             steered = self._steering.steer(requested, context, is_running, hold, permit)
             if steered is not None:
@@ -453,7 +462,7 @@ class Ticker:
         other deadlines wait for the next regular tick.
         """
         soonest = self._run.next_deadline(now)
-        if self._machine.state is _RUNNING:
+        if self._machine.state is _RUNNING or self._run.hand is not None:
             if self._kept_goals.lease_until is not None:
                 lease_ends = self._kept_goals.lease_ends
                 if lease_ends is not None:

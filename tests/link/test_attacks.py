@@ -78,6 +78,7 @@ def test_every_kind_of_datagram_has_its_signers() -> None:
     wanted = dict.fromkeys(told.split(), "robot")
     wanted |= dict.fromkeys(("Solicit", "ClockQuery"), "operator permit robot viewer")
     wanted |= {"Stop": "operator permit robot", "RunLease": "operator", "Swarm": ""}
+    wanted |= {"Drive": "operator permit"}
     assert {kind.__name__: " ".join(sorted(roles)) for kind, roles in SIGNERS.items()} == wanted
     assert set(SIGNERS) == set(get_args(Datagram))
 

@@ -8,7 +8,7 @@ import pytest
 from msgspec.structs import replace
 
 from swarmd.daemon.key_permits import KeyPermits
-from swarmd.link.datagram import RunLease, Stop, pack
+from swarmd.link.datagram import Drive, RunLease, Stop, pack
 from swarmd.link.keys.roster import KeyPermit
 from swarmd.link.signature import Flaw
 from tests.link.keyring import Keyring
@@ -223,3 +223,25 @@ def test_a_permit_renews_no_run(network: VirtualNetwork) -> None:
     for name in ROBOTS:
         assert network.robots[name].leases == []
         assert network.robots[name].flaws[Flaw.ROLE] == 1
+
+
+def test_a_command_of_a_hand_counts_for_its_robot_alone_and_in_the_name_of_its_signer(
+    network: VirtualNetwork,
+) -> None:
+    """Robots relay none, so that no other robot hands one on."""
+    keyring = network.keyring
+    assert keyring is not None
+    drive = Drive(robot="r1", hand="h1", operator="anna", order=1, sent=1, linear=0.1, angular=0.0)
+    network.inject(keyring.trust("anna").signer.sign(pack(TAG, drive)), OPERATOR)
+    for other in ("bob", "agent"):
+        network.inject(keyring.trust(other).signer.sign(pack(TAG, drive)), OPERATOR)
+    by_robot = keyring.trust("r2").signer.sign(pack(TAG, drive))
+    network.inject(by_robot, ("10.0.0.2", 7000))
+    network.inject(pack(TAG, drive), OPERATOR)  # not signed
+    network.run(3.0)
+    assert {name: robot.drives for name, robot in network.robots.items() if robot.drives} == {
+        "r1": [drive]
+    }
+    flaws = network.robots["r1"].flaws
+    assert (flaws[Flaw.FORGED], flaws[Flaw.ROLE], flaws[Flaw.UNSIGNED]) == (2, 1, 1)
+    assert not [body for _, body, _, _ in network.tapped if isinstance(body, Drive)]

@@ -21,6 +21,7 @@ from swarmd.link.datagram import (
     Ack,
     Address,
     Datagram,
+    Drive,
     KinReport,
     Solicit,
     Stop,
@@ -65,6 +66,7 @@ class Robot:
     places: list[PeerPlace] = field(default_factory=list)
     kin: list[KinReport] = field(default_factory=list)
     leases: list[HeardLease] = field(default_factory=list)
+    drives: list[Drive] = field(default_factory=list)
     goals: Goals = field(default_factory=lambda: Goals("robot", (), None, 0.0))
     wished: float = -math.inf
     reset_at: float = -math.inf
@@ -323,6 +325,7 @@ class VirtualNetwork:
         robot.places.extend(effects.places)
         robot.kin.extend(effects.kin)
         robot.leases.extend(effects.leases)
+        robot.drives.extend(effects.drives)
         robot.invalid_goals += effects.invalid_goals
         for found in effects.goals:
             robot.find(found.goal, found.age, self.now)

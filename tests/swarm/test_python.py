@@ -488,3 +488,34 @@ def test_keys_are_those_of_swarmctl(tmp_path: Path, monkeypatch: pytest.MonkeyPa
             pytest.raises(NetworkError, match="no keys"),
         ):
             stranger.members()
+
+
+def test_one_robot_in_the_hand_of_a_program(swarm: Client) -> None:
+    """The hand moves it, others see who drives, a second hand is told, and a release ends it."""
+
+    def is_done() -> bool:
+        """False if a process was stopped for longer than the lease, or answered too late."""
+        pause = threading.Event()
+        with contextlib.suppress(RequestError), swarm.drive("r1") as hand:
+            while not hand.is_over:
+                hand.move(0.1)
+                pause.wait(0.05)
+                status = hand.status
+                if status is not None and status.decision.safe_linear > 0.0:
+                    return is_told(status.driven_by)
+        return False
+
+    def is_told(name: str) -> bool:
+        """Another hand learns who drives."""
+        try:
+            swarm.drive("r1").close()
+        except RequestError as refused:
+            return refused.exit_code == REFUSED and f"driven by {name}" in str(refused)
+        return False
+
+    def is_free() -> bool:
+        status = swarm.members()["r1"].status
+        return status is not None and not status.driven_by
+
+    wait_until(is_done, "a hand moves r1")
+    wait_until(is_free, "r1 is in nobody's hand")

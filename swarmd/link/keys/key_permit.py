@@ -11,6 +11,7 @@ A robot judges each request of such a name, whatever way the request came. The r
    `stop NAMES`            of these robots alone, also if the stop is for all robots
    `run PATTERN`           a run of these patterns (a glob; none: any pattern)
    `param PATTERN.NAME`    these parameters of a running pattern (globs; none: any), and of a run
+   `drive`                 to drive by hand, and to release
    ======================  ========================================================================
 
    Every other verb is refused, and a line with an unknown verb permits nothing.
@@ -18,7 +19,8 @@ A robot judges each request of such a name, whatever way the request came. The r
 4. A run has no goal: a goal spreads to other robots, and may start runs later. It ends after `for`
    at the latest, and with the permit. A run that is asked for longer than `for` is refused.
 5. A run may set only the parameters that `param` permits for its pattern.
-6. Nothing lets a run of this name drive faster than `speed`. So a name with `speed` may set no
+6. A hand ends after `for` and with the permit, and drives at `speed` at most.
+7. Nothing lets a run of this name drive faster than `speed`. So a name with `speed` may set no
    parameters of a run that has a greater bound, or none.
 """
 
@@ -40,6 +42,7 @@ from swarmd.core.names import expand_globs, select_names
 from swarmd.core.verbs import (
     MAX_AHEAD,
     AnyRequest,
+    DriveRequest,
     EstopRequest,
     ParamRequest,
     RunRequest,
@@ -50,7 +53,7 @@ from swarmd.link.keys.roster import KeyPermit
 MAX_RUN = 1e7
 """The longest run in s that a request may ask for (`RunRequest.seconds`)."""
 STOPS = ("stop", "estop")
-VERBS = (*STOPS, "run", "param")
+VERBS = (*STOPS, "run", "param", "drive")
 """The verbs that a permit may list."""
 
 
@@ -160,21 +163,24 @@ def check_permit(permit: KeyPermit, robots: tuple[str, ...]) -> None:
     for text in permit.may:
         _check_line(text, robots)
     verbs = {line.verb for line in lines_of(permit)}
-    if "run" in verbs and not verbs & {*STOPS}:
-        raise ConfigError("whoever may run must be able to stop: add `stop`")
+    for verb in ("run", "drive"):
+        if verb in verbs and not verbs & {*STOPS}:
+            raise ConfigError(f"whoever may {verb} must be able to stop: add `stop`")
 
 
 def _check_line(text: str, robots: tuple[str, ...]) -> None:
     verb, of = _split(text)
     if verb not in VERBS:
         raise ConfigError(
-            f"{unknown('request of a permit', verb, VERBS)}; expected stop, estop, `run PATTERN` or"
-            " `param PATTERN.NAME`"
+            f"{unknown('request of a permit', verb, VERBS)}; expected stop, estop, `run PATTERN`,"
+            " `param PATTERN.NAME` or drive"
         )
     if verb in STOPS:
         if of:
             select_names((of,), robots)
         return
+    if verb == "drive" and of:
+        raise ConfigError(f"{text!r}: expected `drive` alone; `robots` says which robots")
     if any(char in of for char in " [],"):
         raise ConfigError(f"{text!r}: expected one name, with * and ? for any characters")
     if verb == "param" and of and "." not in of:
@@ -274,8 +280,30 @@ def _judge_param(case: _Case, request: AnyRequest) -> AnyRequest | Denial:
     return request
 
 
+def _judge_drive(case: _Case, request: AnyRequest) -> AnyRequest | Denial:
+    """A hand, bounded by `for`, by the end of the permit and by `speed`; a release is permitted."""
+    assert isinstance(request, DriveRequest)
+    permit = case.permit
+    if not _is_for(permit, case.robot):
+        return Denial(f"drive {case.robot}")
+    if not any(line == Line("drive", "") for line in lines_of(permit)):
+        return Denial("drive")
+    left = permit.until - case.wall
+    return replace(
+        request,
+        seconds=_least(request.seconds, permit.longest, left if left <= MAX_RUN else None),
+        speed=_least(request.speed, permit.speed),
+    )
+
+
 _RULES: Mapping[str, Callable[[_Case, AnyRequest], AnyRequest | Denial]] = MappingProxyType(
-    {"stop": _judge_stop, "estop": _judge_stop, "run": _judge_run, "param": _judge_param}
+    {
+        "stop": _judge_stop,
+        "estop": _judge_stop,
+        "run": _judge_run,
+        "param": _judge_param,
+        "drive": _judge_drive,
+    }
 )
 """By verb; another verb is refused."""
 

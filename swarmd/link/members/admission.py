@@ -13,6 +13,9 @@ fresh if it is
 - a stop by the rules of `stop_freshness.py`. A stop names the operator that signed it. A robot that
   relays a stop keeps the operator's name and signs with its own key.
 
+A command of a hand is admitted from the name that it names, which may have a permit: the robot took
+this name's request, and drops what it has heard before (`robot/hand.py`).
+
 A run lease is admitted from the operator that it names. It prolongs a run only as far as the rules
 of `lease_freshness.py` permit: a lease that may be replayed is handed to the robot, which says why
 its run ends, and prolongs nothing.
@@ -29,6 +32,7 @@ from swarmd.link.datagram import (
     ClockQuery,
     ClockReply,
     Datagram,
+    Drive,
     Flag,
     GoalReport,
     KinReport,
@@ -66,6 +70,7 @@ SIGNERS: Mapping[type[Datagram], frozenset[Role]] = {
     GoalReport: _ROBOTS,
     RunLease: _OPERATORS,
     KinReport: _ROBOTS,
+    Drive: frozenset({Role.OPERATOR, Role.PERMIT}),
 }
 """The roles that may send each kind; `Swarm` is for readers without keys, and never signed."""
 
@@ -114,8 +119,8 @@ class Admission:
                 return self._beacon(body, now, is_claiming=is_claiming)
             case Stop():
                 return body if _may_send_stop(body, author) else Flaw.FORGED
-            case RunLease():
-                # `Peer` judges its age.
+            case RunLease() | Drive():
+                # `Peer` judges the age of a lease, and `Hand` the order and age of a command.
                 return body if body.operator == author.name else Flaw.FORGED
             case Swarm():
                 return Flaw.ROLE  # no role may sign a `Swarm`

@@ -61,7 +61,7 @@ STDERR = 2  # file descriptor
 
 def _verb(name: str, section: str, example: str, text: str, file: str = "") -> tuple[str, LazyVerb]:
     """A verb by name; `text`: its line of --help; `file`: its module, by default its name."""
-    place = f"swarmd.operator.cli.{file or name}:{name}"
+    place = f"swarmd.operator.{file if '.' in file else f'cli.{file or name}'}:{name}"
     return name, LazyVerb(place, text, section, f"swarmctl {name} {example}".rstrip())
 
 
@@ -86,6 +86,8 @@ VERBS = dict((
           "Emergency-stop robots, or all robots; latched.", "stop_and_reset"),
     _verb("reset", MOVE, "--all",
           "Clear emergency stops and faults; moves nothing.", "stop_and_reset"),
+    _verb("drive", MOVE, "tb3-03",
+          "Drive one robot by hand, with the keys of a terminal.", "verbs.drive.command"),
     _verb("param", MOVE, "set --all speed=0.2", "Get or set parameters of running patterns."),
     _verb("resume", MOVE, "tb3-07", "Let robots take up the goal that they were offered.", "goal"),
     _verb("undo", MOVE, "", "Set the goal before the present one again.", "goal"),

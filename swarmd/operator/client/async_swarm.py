@@ -69,7 +69,8 @@ class AsyncSwarm:
 
     The methods, their parameters and results are those of `Swarm`. `events` and `states` are async
     iterators; all other methods are awaited. Each method runs on a thread, so that the event loop
-    does not wait for robots. A stop waits for no other method. Looks (`members`, `describe`,
+    does not wait for robots. A stop waits for no other method. `drive` gives a `Hand`, for `async
+    with await swarm.drive(...) as hand`. Looks (`members`, `describe`,
     `goal`, `incidents`, `params`, `frame`) take turns. SwarmError if 8 requests are under way.
 
     A cancelled task no longer waits, but robots may have applied its request. The cancellation also
@@ -89,6 +90,7 @@ class AsyncSwarm:
     params = _in_turn(Swarm.params)
     frame = _in_turn(Swarm.frame)
     run = _awaited(Swarm.run)
+    drive = _awaited(Swarm.drive)
     stop = _awaited(Swarm.stop)
     estop = _awaited(Swarm.estop)
     reset = _awaited(Swarm.reset)

@@ -18,7 +18,7 @@ from swarmd.operator.client.members import Description, Members
 from swarmd.operator.client.session import Session
 from swarmd.operator.client.states import Pose, RobotState, follow_states, read_poses
 from swarmd.operator.client.targets import Targets, make_targets, no_target, robots_of
-from swarmd.operator.session.exit_codes import TIMEOUT
+from swarmd.operator.session.exit_codes import NO_TARGET, TIMEOUT
 
 if TYPE_CHECKING:
     from swarmd.link.keys.identity import Identity
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from swarmd.operator.session.outcome import Outcome
     from swarmd.operator.texts.assignments import Value
     from swarmd.operator.texts.goal import Difference
+    from swarmd.operator.verbs.drive.ask import Hand
 
 Tell: TypeAlias = Callable[[str], object]
 
@@ -277,6 +278,41 @@ class Swarm(Closing):
             return opened.enter_context(own)
         of_connection = self._pool.life
         return None if of_connection is None or of_connection.is_over else of_connection
+
+    def drive(self, robot: str, *, timeout: float | None = None) -> Hand:
+        """Take one robot by hand: a run beneath waits, and goes on when the hand releases it.
+
+        ::
+
+            with swarm.drive("tb3-03") as hand:
+                hand.move(0.1, 0.5)  # m/s ahead, rad/s to the left, for 0.7 s
+                time.sleep(0.5)
+
+        The end of the block releases the robot. If the block raises or the program ends, the robot
+        stands instead, and holds its run until `resume` or a new run. Protection bounds all that
+        the hand asks. RequestError if the robot refuses: it is estopped, or another hand has it.
+        """
+        from swarmd.operator.verbs.drive.ask import take
+
+        if not isinstance(robot, str):
+            raise ConfigError(f"robot is {robot!r}; expected the name of a robot")
+        # The session stays open until the hand is closed, as long as its connection is.
+        with self._pool.requests.request(), ExitStack() as opened:
+            session = opened.enter_context(self._session(timeout))
+            targeted = session.target(make_targets((robot,), (), ()), needs_status=False)
+            if len(targeted.names) != 1:
+                names = ", ".join(targeted.names)
+                raise RequestError(f"drive takes one robot; {robot!r} is {names}", NO_TARGET)
+            hand = take(
+                session.operator,
+                targeted.view,
+                targeted.names[0],
+                timeout=targeted.time_left,
+                issued=session.began,
+                is_wanted=lambda: session.is_owned() and not session.is_cancelled(),
+            )
+            hand.on_close = opened.pop_all().close
+            return hand
 
     def stop(
         self,

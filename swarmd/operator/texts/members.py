@@ -115,6 +115,8 @@ def health(view: MembersView) -> Iterator[str]:
     yield from _reported_faults(statuses)
     yield from incompatible(statuses)
     yield from _held(statuses)
+    if driven := [f"{one.robot} (by {one.driven_by})" for one in statuses if one.driven_by]:
+        yield f"driven by hand: {', '.join(driven)}"
     yield from offered(statuses)
     yield from key_warnings(statuses, time.time())
     if insecure := [s.robot for s in statuses if s.profile != "dev" and not s.is_secured]:

@@ -27,6 +27,8 @@ MAX_STOPS = 3
 _MAX_REASON = 256  # characters of the reason of an emergency stop, as operators may send
 _START = "start it with `swarmctl run PATTERN {robot}`"
 
+DRIVEN = "driven"
+"""The word of all displays for the state of a robot that an operator drives by hand."""
 SILENT = "silent"
 """The word of all displays for the state of a robot that is not heard."""
 
@@ -88,6 +90,10 @@ HOLDS = {
         "it has a fence and no usable pose{detail}; check the localisation{driver}",
         "it has a fence and had no usable pose",
     ),
+    Reason.HAND_LOST: (
+        "who drove it was not heard{detail}; `swarmctl resume {robot}` lets its run go on",
+        "who drove it was not heard",
+    ),
     Reason.PATTERN_RESTARTING: (
         "the pattern failed and is being loaded again{detail}",
         "the pattern failed and could not be loaded again",
@@ -130,7 +136,12 @@ def standing_of(state: str, reason: str) -> str:
 
 
 def state_word(status: Status) -> str:
-    """The state of a robot in the word of all displays; of a running robot that stands, why."""
+    """The state of a robot in the word of all displays; of a running robot that stands, why.
+
+    A robot in the hand of an operator is `driven`, whatever waits beneath.
+    """
+    if status.driven_by:
+        return DRIVEN
     return standing_of(status.state, status.reason or "") or status.state.value
 
 
@@ -147,6 +158,8 @@ def why(member: SeenMember) -> str:
     if status is None:
         heard = f"heard {seconds(member.age)} ago"
         return f"{heard}, {member.state or 'alive'}, but it sent no status; try again"
+    if status.driven_by:
+        return _text_if_driven(status)
     if status.reason is None:
         return _text_if_moving(status)
     if status.state is State.RUNNING:
@@ -157,6 +170,17 @@ def why(member: SeenMember) -> str:
         past_hold = f"{HOLDS[status.reason][1]}{_detail(status)}; when that is solved, {start}"
         return f"{status.state}: {past_hold}{_lost(status)}"
     return f"{status.state}: {_text_if_standing(member.robot, status)}{_lost(status)}"
+
+
+def _text_if_driven(status: Status) -> str:
+    """The sentence for a robot that an operator drives by hand."""
+    waits = f", {status.pattern} waits" if status.state is State.RUNNING else ""
+    text = f"driven by {status.driven_by}{waits}"
+    if status.reason is None:
+        return f"{text}; moving{_limit(status.decision)}"
+    if status.reason is Reason.NO_REQUESTED_COMMAND:
+        return f"{text}; at rest, as the hand asks"
+    return f"{text}; not moving: {_text_if_standing(status.robot, status)}"
 
 
 def _text_if_moving(status: Status) -> str:

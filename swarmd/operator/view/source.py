@@ -14,7 +14,7 @@ import numpy as np
 from swarmd.core.messages import LimitingObstacle, Reason, Status
 from swarmd.core.values import Array, Platform
 from swarmd.operator.texts.values import printable, seconds
-from swarmd.operator.texts.why import lost_base, protection_word_of, standing_of
+from swarmd.operator.texts.why import DRIVEN, lost_base, protection_word_of, standing_of
 from swarmd.operator.view.playback import Playback
 
 FRAME = 1
@@ -219,6 +219,7 @@ def row_of(status: Status) -> dict[str, Any]:
 
     - `why`: the reason in words why the robot does not move. `stands`: `at rest` if the
       pattern wants so, `held` if the robot may not move; empty if it moves or does not run.
+      `driven` if an operator, `driven_by`, drives it by hand.
     - `lost`: why the base takes no commands, empty if the base takes commands.
     - `requested`, `safe`: commands: linear (m/s), angular (rad/s), lateral (m/s).
     - `rows`: the nearest obstacles, each with bearing (rad), gap (m) and the highest speed (m/s)
@@ -232,7 +233,8 @@ def row_of(status: Status) -> dict[str, Any]:
         "presence": "alive",
         "state": status.state.value,
         "why": _reason(status),
-        "stands": standing_of(status.state, status.reason or ""),
+        "stands": DRIVEN if status.driven_by else standing_of(status.state, status.reason or ""),
+        "driven_by": status.driven_by,
         "lost": lost_base(status),
         "pattern": status.pattern or "",
         "protection": protection if status.state == "running" else "",

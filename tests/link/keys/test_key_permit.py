@@ -14,6 +14,7 @@ from swarmd.core.messages import Epoch
 from swarmd.core.verbs import (
     VERBS,
     AnyRequest,
+    DriveRequest,
     EstopRequest,
     GoalRequest,
     ParamRequest,
@@ -207,9 +208,9 @@ def test_a_run_in_a_goal_is_refused() -> None:
 
 
 def test_every_other_verb_is_refused_to_the_widest_permit() -> None:
-    widest = permit("stop", "estop", "run", "param", *VERBS)
+    widest = permit("stop", "estop", "run", "param", "drive", *VERBS)
     others = {row.name for row in VERBS.values() if row.is_request}
-    others -= {"stop", "estop", "run", "param"}
+    others -= {"stop", "estop", "run", "param", "drive"}
     assert others == {
         *("resume", "goal", "label", "reset", "reload", "push", "forget", "record", "mark"),
         "roster",
@@ -252,3 +253,32 @@ def test_a_permit_that_cannot_be_meant_is_not_issued(may: tuple[str, ...], robot
     with pytest.raises(ConfigError):
         check_permit(permit(*may, robots=robots), ROBOTS)
     check_permit(PUPILS, ROBOTS)
+
+
+def drive(**fields: Any) -> DriveRequest:
+    return DriveRequest(id="d1", operator="anna", targets=TARGETS, **fields)
+
+
+def test_a_hand_is_permitted_on_its_robots_and_bounded_by_for_speed_and_the_end() -> None:
+    of = permit("stop", "drive", robots="tb3-0[1-3]", longest=60.0, speed=0.15)
+    assert judge(of, drive(), "tb3-01", wall=NOW) == drive(seconds=60.0, speed=0.15)
+    assert judge(of, drive(speed=0.1), "tb3-01", wall=NOW) == drive(seconds=60.0, speed=0.1)
+    late = judge(of, drive(), "tb3-01", wall=of.until - 5)
+    assert late == drive(seconds=5.0, speed=0.15)
+    for robot, wall in (("tb3-07", NOW), ("tb3-01", of.until), ("tb3-01", 0.0)):
+        assert isinstance(judge(of, drive(), robot, wall=wall), Denial)
+
+
+@pytest.mark.parametrize("may", [("stop",), ("stop", "run"), ("stop", "drive tb3-01"), ("run *",)])
+def test_no_other_line_permits_a_hand(may: tuple[str, ...]) -> None:
+    assert isinstance(judge(permit(*may), drive(), "tb3-01", wall=NOW), Denial)
+    assert isinstance(
+        judge(permit(*may), drive(is_release=True, hand="d0"), "tb3-01", wall=NOW), Denial
+    )
+
+
+def test_whoever_may_drive_must_be_able_to_stop_and_robots_names_where() -> None:
+    check_permit(permit("stop", "drive"), ROBOTS)
+    for may in (("drive",), ("stop", "drive tb3-01")):
+        with pytest.raises(ConfigError):
+            check_permit(permit(*may), ROBOTS)

@@ -5,7 +5,7 @@
 const STATES = {
   silent: ['#ee1f45', '?'], estopped: ['#b3001b', '\u2716'], faulted: ['#aa3f8f', '\u26a0'], held: ['#e07b00', '\u2016'],
   stopped: ['#f0d800', '\u25a0'], running: ['#009e73', '\u25b6'], 'at rest': ['#009e73', '\u25cc'],
-  idle: ['#56b4e9', '\u25cb'], left: ['#7d8590', '\u2013'],
+  driven: ['#cc79a7', '\u270b'], idle: ['#56b4e9', '\u25cb'], left: ['#7d8590', '\u2013'],
 };
 const ORDER = Object.keys(STATES);
 const ALARMS = ['silent', 'estopped', 'faulted']; // the chips of which are filled
@@ -27,6 +27,7 @@ export function wordOf(row) { return row.stands || row.state || ''; }
 // Why a robot stands and since when, in a few words; `time` on the clock of `row.at`.
 export function reasonOf(row, time = NaN) {
   if (row.stands === 'at rest') return `settled: ${row.pattern || 'its pattern'} requests no motion`;
+  if (row.driven_by) return `driven by ${row.driven_by}`;
   const passed = row.why && row.state !== 'running' ? time - row.at : NaN;
   return plain(row.why || '') + (passed >= 0 ? `, ${ago(passed)}` : '');
 }

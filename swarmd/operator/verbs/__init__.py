@@ -1,0 +1,1 @@
+"""A folder for each verb: its command, what asks for it, its words."""
