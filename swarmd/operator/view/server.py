@@ -8,7 +8,8 @@ WebSocket:
   `overload` (texts), `answer` (to a command) and `estop`,
 - to the page, as bytes: frames (poses) and scans (`source.pack_frame`),
 - from the page: `ack` (of a frame), `select` (robots), `play`, `seek` and `choose` (of a recorded
-  run), `past` (a time to look back at) and `act` (a command).
+  run), `past` (a time to look back at) `act` (a command) and
+  `hand` (a stick that drives a robot, `page_hand.py`).
 
 The server remembers an emergency stop that not all robots have acknowledged: a page that opens
 later shows it.
@@ -29,7 +30,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict
 from importlib.resources import files
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 from urllib.parse import parse_qs
 
 from websockets.asyncio.server import Server, ServerConnection, serve
@@ -53,6 +54,7 @@ from swarmd.operator.view.access import (
 from swarmd.operator.view.client import Client, Rows
 from swarmd.operator.view.history import History, Survey
 from swarmd.operator.view.metrics import CONTENT_TYPE
+from swarmd.operator.view.page_hand import HeldRobot, PageHand
 from swarmd.operator.view.playback import Playback
 from swarmd.operator.view.source import (
     DETAIL_KEYS,
@@ -110,6 +112,14 @@ class Commander(Protocol):
         """Stop repeating the emergency stop, even if acknowledgements are missing."""
 
 
+@runtime_checkable
+class Driving(Protocol):
+    """A commander whose pages may drive a robot by hand."""
+
+    def take(self, robot: str) -> HeldRobot:
+        """Take a robot by hand; blocks. SwarmError if the robot refuses."""
+
+
 class ViewServer:
     """The server of one source; `frame_period` in s."""
 
@@ -162,7 +172,9 @@ class ViewServer:
     async def close(self, reason: str = "") -> None:
         """End the server; its pages show `reason`, at most 120 bytes."""
         text = reason.encode()[:120].decode(errors="ignore")
+        hands = [client.hand for client in self._clients if client.hand is not None]
         await asyncio.gather(*(self._dismiss(client, text) for client in self._clients))
+        await asyncio.gather(*(hand.closed() for hand in hands))
         for connection in list(self._waiting):
             connection.transport.abort()
         for task in self._tasks:
@@ -281,10 +293,28 @@ class ViewServer:
             client.past = None
             with suppress(TypeError, ValueError, OverflowError):  # also for null: the present
                 client.past = float(message.get("time"))
+        elif kind == "hand":
+            self._on_hand(client, message)
         elif kind == "act":
             task = self._begin(self._act(client, message))
             if message.get("verb") not in STOPS:
                 client.own(task)
+
+    def _on_hand(self, client: Client, message: Mapping[str, Any]) -> None:
+        """A word of a page that drives a robot by hand."""
+        if client.role != "operator" or not isinstance(self._commander, Driving):
+            text = "this page may only look" if client.role != "operator" else "there is no robot"
+            if message.get("do") == "take":
+                client.tell({"kind": "hand", "robot": "", "is_held": False, "text": text})
+            return
+        if client.hand is None:
+            client.hand = PageHand(self._commander.take, client.tell, boottime)
+        client.hand.on_word(message, self._age_of(message.get("seen")))
+
+    def _age_of(self, seen: Any) -> float | None:
+        """Seconds since the frame `seen` was sent; None if it is not known any more."""
+        now = boottime()
+        return next((now - at for number, at in self._sent_at if number == seen), None)
 
     async def _play(
         self, client: Client, playback: Playback, kind: str, message: Mapping[str, Any]
