@@ -170,6 +170,8 @@ class PageHand:
 
     async def _close(self, hand: HeldRobot) -> None:
         with suppress(SwarmError):
+            hand.move(0.0, seconds=STICK_TIME)  # else the last motion lasts until its end
+        with suppress(SwarmError):
             await in_thread(hand.close)
 
     def _end(self, text: str) -> None:

@@ -145,6 +145,8 @@ def test_a_hand_that_is_lost_is_closed_and_never_released(how: str) -> None:
             rig.robot.over = "estop"
         await until(lambda: bool(rig.robot.ends))
         assert rig.robot.ends == ["closed"]
+        if not rig.robot.over:
+            assert rig.robot.moves[-1] == (0.0, 0.0, STICK_TIME)
 
     asyncio.run(drive())
 
