@@ -1,9 +1,9 @@
-"""How long a robot moves after its driver lets go, in virtual time: `python -m studies.hand_release`.
+"""How long a robot moves after its driver lets go: `python -m studies.hand_release`.
 
-A hand drives a simulated robot over a link that delays each datagram and loses some. It lets go at
-a random time: by word (its stick or key is released, or it releases the robot), or by loss (its
-program or its network has gone). The time is that until the robot commands zero to its base; the
-way of a key to the program, and the brakes of the base, are not in it.
+In virtual time a hand drives a simulated robot over a link that delays each datagram and loses
+some. It lets go at a random time: by word (its stick or key is released, or it releases the robot),
+or by loss (its program or its network has gone). The time is that until the robot commands zero to
+its base; the way of a key to the program, and the brakes of the base, are not in it.
 """
 
 from __future__ import annotations

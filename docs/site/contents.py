@@ -43,6 +43,7 @@ INNER = {
     "docs/from_ros2swarm": ["docs/from_argos", "docs/ros2_nodes"],
     "docs/patterns": ["docs/push"],
     "docs/trouble": ["docs/problems"],
+    "docs/operating": ["docs/drive"],
     "docs/safety": ["docs/failures", "docs/mixed_swarms", "docs/walls"],
     "docs/python": ["docs/agents", "AGENTS"],
     "docs/robots/README": [

@@ -15,7 +15,8 @@ HELP = (
     "arrows or w a s d drive, + and - set the speed, space stands;"
     " Enter releases, x stops robot and run, q leaves"
 )
-SLOWEST, FASTEST = 0.02, 1.0  # m/s
+SLOWEST = 0.02  # m/s
+FASTEST = 1.0  # m/s
 STEP = 1.25  # factor of + and -
 TURN = 5.0  # rad/s of a turn for each m/s: 0.5 rad/s at 0.1 m/s
 MAX_TURN = 1.5  # rad/s
