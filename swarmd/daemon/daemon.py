@@ -478,6 +478,11 @@ class Daemon:
 
     def on_input(self, input: events.Input) -> None:
         """Hand the robot an input that came from a peer; audit an adopted latch or goal."""
+        judged = self._permits.judge_input(input)
+        if judged is None:
+            self._drops.add("permit:spread")
+            return
+        input = judged
         robot = self._robot
         held = set(robot.latches)
         goal = robot.goal
@@ -554,6 +559,7 @@ class Daemon:
         self.step(events.RosterInput(taken.text, taken.is_revoked))
         if foreign := self._goals.foreign(self._robot.goals):
             self.step(events.ForgetInput(foreign))
+        self._permits.take_roster()
         self._network.take_identity(taken.identity)
         self._puller.take_identity(taken.identity)
         self._pattern_intake.check_again()

@@ -11,11 +11,12 @@ from msgspec.structs import replace
 
 from swarmd.core.clock import boottime
 from swarmd.core.codec import encode
+from swarmd.core.events import GoalInput, LatchesInput
 from swarmd.core.goal import Goal
 from swarmd.core.incident import Incident, IncidentKind, mark_part
-from swarmd.core.messages import Code, Epoch, Reply
+from swarmd.core.messages import Code, Epoch, Latch, Reply
 from swarmd.core.refusal import Refusal
-from swarmd.core.verbs import AuditEntry, Request, RunRequest, StopRequest
+from swarmd.core.verbs import AuditEntry, Request, ResetRequest, RunRequest, StopRequest
 from swarmd.daemon import incidents
 from swarmd.daemon.audit import Audit
 from swarmd.daemon.driver_commands import permission_fault
@@ -50,6 +51,7 @@ class Rig:
 
     def __init__(self, robot: str = "r1") -> None:
         keyring = Keyring(("r1", "r2"), operators=("anna",), permits={"pupil": PUPIL})
+        self.keyring = keyring
         self.permits = KeyPermits(
             robot,
             lambda: keyring.identity(robot),
@@ -140,6 +142,94 @@ def test_a_request_with_the_id_of_one_that_waits_does_not_get_its_reply() -> Non
     rig.server.reply(Reply(id="run-1", robot="r1", code=Code.APPLIED, text=""))
     assert [reply.code for reply in of_anna.replies] == [Code.APPLIED]
     assert [entry.operator for entry in rig.entries] == ["anna"]
+
+
+def spread_by(issuer: str, age: float | None) -> tuple[GoalInput, LatchesInput]:
+    """What a stop and an emergency stop of all robots leave on a robot that carried them out."""
+    goal = Goal(generation=4, issuer=issuer, id="stop-1")
+    latch = Latch(issuer=issuer, scope="swarm", age=age)
+    return GoalInput(goal, age, may_join=False), LatchesInput({"estop-1": latch})
+
+
+@pytest.mark.parametrize(
+    ("issuer", "age", "is_taken"),
+    [
+        ("pupil", 9.0, False),  # issued after the roster without its permit, on a robot without it
+        ("pupil by mcp", 9.0, False),
+        ("pupil", 11.0, True),  # issued before: a stop is not undone by a roster
+        ("pupil", None, True),
+        ("anna", 9.0, True),
+        ("bob", 9.0, True),
+    ],
+)
+def test_what_spreads_of_a_stop_after_its_permit_does_not_count(
+    issuer: str, age: float | None, is_taken: bool
+) -> None:
+    now = [100.0]
+    keyring = Keyring(("r1",), operators=("anna", "bob"), permits={"pupil": PUPIL})
+    permits = KeyPermits(
+        "r1", lambda: keyring.identity("r1"), lambda: None, wall=lambda: NOW, clock=lambda: now[0]
+    )
+    keyring.renew(remove=("pupil", "bob"))
+    permits.take_roster()
+    now[0] += 10.0
+    for input in spread_by(issuer, age):
+        assert permits.judge_input(input) == (input if is_taken else None)
+
+
+@pytest.mark.parametrize(
+    ("wall", "is_taken"), [(NOW, True), (NOW + 64.0, True), (NOW + 66.0, False), (0.0, True)]
+)
+def test_what_spreads_of_a_stop_of_an_expired_permit_does_not_count(
+    wall: float, is_taken: bool
+) -> None:
+    """The stop is 5 s old, and the permit lasts until NOW + 60."""
+    keyring = Keyring(("r1",), permits={"pupil": PUPIL})
+    permits = KeyPermits("r1", lambda: keyring.identity("r1"), lambda: None, wall=lambda: wall)
+    for input in spread_by("pupil", 5.0):
+        assert permits.judge_input(input) == (input if is_taken else None)
+
+
+def test_the_latches_of_others_count_beside_one_that_does_not() -> None:
+    keyring = Keyring(("r1",), operators=("anna",), permits={"pupil": PUPIL})
+    permits = KeyPermits(
+        "r1", lambda: keyring.identity("r1"), lambda: None, wall=lambda: NOW + 99.0
+    )
+    of_pupil = Latch(issuer="pupil", scope="swarm", age=1.0)
+    of_anna = Latch(issuer="anna", scope="swarm", age=1.0)
+    judged = permits.judge_input(LatchesInput({"a": of_pupil, "b": of_anna}))
+    assert judged == LatchesInput({"b": of_anna})
+
+
+def test_a_name_that_was_promoted_is_judged_no_more() -> None:
+    rig = Rig()
+    rig.keyring.roster = replace(
+        rig.keyring.roster, permits={}, operators={"anna": bytes(64), "pupil": bytes(64)}
+    )
+    rig.permits.take_roster()
+    rig.by_zenoh(run("flocking"))
+    assert len(rig.handed) == 1
+
+
+@pytest.mark.parametrize("door", [Rig.by_zenoh, Rig.by_own_system])
+def test_a_revoked_permit_is_no_key_without_bounds(door: Door) -> None:
+    """The links of the roster before stay open for a moment, in which answers are sent."""
+    rig = Rig()
+    rig.keyring.renew(remove=("pupil",))
+    rig.permits.take_roster()
+    asked = (
+        run(),
+        replace(run("flocking"), id="run-2"),
+        StopRequest(id="s", operator="pupil"),
+        ResetRequest(id="r", operator="pupil", targets={"r1": EPOCH}),
+    )
+    for request in asked:
+        rig.replies.clear()
+        door(rig, request)
+        assert rig.handed == []
+        (reply,) = rig.replies
+        assert (reply.code, reply.refusal) == (Code.REFUSED, Refusal.NOT_PERMITTED)
+        assert "pupil has no permit any more" in reply.text
 
 
 def test_the_names_of_operators_and_of_relays_are_not_judged() -> None:

@@ -294,7 +294,7 @@ class VirtualSwarm:
         self.now = 1000.0
         self.most_delay = MOST_DELAY
         self.is_secured, self.is_fenced = is_secured, is_fenced
-        roster = SimpleNamespace(permits=dict(permits or {}), robots=ROSTER)
+        roster = SimpleNamespace(permits=dict(permits or {}), operators={}, robots=ROSTER)
         self.identity: Any = SimpleNamespace(roster=roster) if is_secured else None
         self.random = random.Random(seed)
         self.cuts: set[tuple[str, str]] = set()
@@ -531,6 +531,7 @@ class VirtualDaemon(Node):
             lambda: swarm.identity,
             self._present_run,
             wall=lambda: swarm.wall + self.wall,
+            clock=lambda: swarm.now,
         )
         self.peer = Peer(
             PeerSettings(

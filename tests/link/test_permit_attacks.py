@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Literal
 
 import pytest
+from msgspec.structs import replace
 
 from swarmd.daemon.key_permits import KeyPermits
 from swarmd.link.datagram import Drive, RunLease, Stop, pack
-from swarmd.link.keys.identity import Identity
 from swarmd.link.keys.roster import KeyPermit
 from swarmd.link.signature import Flaw
 from tests.link.keyring import Keyring
@@ -31,25 +30,43 @@ class Clock:
     wall = NOW
 
 
+class Judge:
+    """The permits of one robot, with the roster that this robot has."""
+
+    def __init__(self, robot: str, keyring: Keyring, clock: Clock) -> None:
+        self._robot = robot
+        self._keyring = keyring
+        self.identity = keyring.identity(robot)
+        self.permits = KeyPermits(
+            robot, lambda: self.identity, lambda: None, wall=lambda: clock.wall
+        )
+
+    def take_roster(self) -> None:
+        """Take the present generation of the roster."""
+        self.identity = self._keyring.identity(self._robot)
+        self.permits.take_roster()
+
+
 @pytest.fixture
 def clock() -> Clock:
     return Clock()
 
 
 @pytest.fixture
-def network(clock: Clock) -> VirtualNetwork:
+def judges() -> dict[str, Judge]:
+    """By name of a robot; `network` fills it."""
+    return {}
+
+
+@pytest.fixture
+def network(clock: Clock, judges: dict[str, Judge]) -> VirtualNetwork:
     """Three robots that know permits, and `old`, which was made before there were permits."""
     names = (*ROBOTS, "old")
     keyring = Keyring(names, operators=("anna", "bob"), permits=PERMITS)
     made = VirtualNetwork(0, keyring=keyring, joined=False)
     for name in ROBOTS:
-        permits = KeyPermits(
-            name,
-            partial(_identity, keyring, name),
-            lambda: None,
-            wall=lambda: clock.wall,
-        )
-        made.add(name, judge_stop=permits.judge_stop)
+        judges[name] = Judge(name, keyring, clock)
+        made.add(name, judge_stop=judges[name].permits.judge_stop)
     made.add("old")
     made.run(3.0)
     made.until(lambda: all(len(members(robot)) == 3 for robot in made.robots.values()))
@@ -57,10 +74,6 @@ def network(clock: Clock) -> VirtualNetwork:
     # No robot knows the key of a name that its version does not know.
     made.reaches = lambda sender, receiver: (sender, receiver) != ("operator", "old")
     return made
-
-
-def _identity(keyring: Keyring, name: str) -> Identity:
-    return keyring.identity(name)
 
 
 def members(robot: Robot) -> list[str]:
@@ -124,8 +137,52 @@ def test_a_permit_that_has_ended_stops_no_robot_and_is_not_relayed(
     assert not [body for _, body, _, _ in network.tapped if isinstance(body, Stop)]
 
 
+def revoke(
+    network: VirtualNetwork, judges: dict[str, Judge], *names: str, but: tuple[str, ...] = ()
+) -> None:
+    """The robots take a roster without these names, `but` these robots do not hear of it."""
+    network.change_roster(remove=names, but=but)
+    for name in judges.keys() - {*but}:
+        judges[name].take_roster()
+
+
+@pytest.mark.parametrize("verb", ["stop", "estop"])
+@pytest.mark.parametrize("name", [*PERMITS])
+def test_no_robot_with_the_new_roster_obeys_a_revoked_permit_by_relay(
+    network: VirtualNetwork, judges: dict[str, Judge], name: str, verb: Literal["stop", "estop"]
+) -> None:
+    """r3 did not hear of the roster: it obeys the key as before, and relays its stop."""
+    keyring = network.keyring
+    assert keyring is not None
+    stop = Stop(id="late", verb=verb, operator=name, targets=("r1", "r3"), scope="robots")
+    late = keyring.trust(name).signer.sign(pack(TAG, stop))
+    of_relay = keyring.trust("r3").signer.sign(pack(TAG, replace(stop, hops=1)))
+    revoke(network, judges, name, but=("r3",))
+    network.inject(late, OPERATOR, "r3")
+    network.inject(of_relay, network.robots["r3"].address)  # also where r3 would not relay it
+    network.run(8.0)
+    assert stopped(network) & {"r1", "r2"} == set()
+    assert network.robots["r1"].denied
+    assert not any(
+        isinstance(body, Stop) for name, body, _, _ in network.tapped if name in ("r1", "r2")
+    )
+
+
+def test_a_relayed_stop_of_a_revoked_operator_counts_as_before(
+    network: VirtualNetwork, judges: dict[str, Judge]
+) -> None:
+    keyring = network.keyring
+    assert keyring is not None
+    stop = Stop(id="bob", verb="stop", operator="bob", hops=1)
+    of_relay = keyring.trust("r3").signer.sign(pack(TAG, stop))
+    revoke(network, judges, "bob", but=("r3",))
+    network.inject(of_relay, network.robots["r3"].address, "r1")
+    network.run(8.0)
+    assert stopped(network) >= {"r1", "r2"}
+
+
 def test_a_stop_of_a_permit_of_the_roster_before_is_refused_that_of_an_operator_is_not(
-    network: VirtualNetwork,
+    network: VirtualNetwork, judges: dict[str, Judge]
 ) -> None:
     keyring = network.keyring
     assert keyring is not None
@@ -134,7 +191,7 @@ def test_a_stop_of_a_permit_of_the_roster_before_is_refused_that_of_an_operator_
     of_bob = keyring.trust("bob").signer.sign(
         pack(TAG, Stop(id="bob", verb="stop", operator="bob"))
     )
-    network.change_roster(remove=("agent", "bob"))
+    revoke(network, judges, "agent", "bob")
     network.run(5.0)
     for robot in ROBOTS:  # an older version knows the key of no name with a permit
         network.inject(of_agent, OPERATOR, robot)

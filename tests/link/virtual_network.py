@@ -185,14 +185,16 @@ class VirtualNetwork:
             name, self.keyring.roster.robots, self._lease, lambda: numbers.getrandbits(53)
         )
 
-    def change_roster(self, remove: Collection[str]) -> None:
-        """All robots take the next generation of the roster."""
+    def change_roster(self, remove: Collection[str], *, but: Collection[str] = ()) -> None:
+        """The robots take the next generation of the roster, `but` these do not hear of it."""
         assert self.keyring is not None
         until = self.now + PREVIOUS_TIME
         before = self.keyring.roster
         keys = {name: self.keyring.keys(name) for name in self.robots}
         self.keyring.renew(remove=remove)
         for name, robot in self.robots.items():
+            if name in but:
+                continue
             previous = Previous(keys[name], before, until)
             robot.trust = Trust.of(self.keyring.identity(name), previous)
 

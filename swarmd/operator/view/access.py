@@ -102,6 +102,15 @@ class Access:
             return False
 
 
+def bearer_token(headers: Headers) -> str:
+    """The token in the header `Authorization: Bearer TOKEN`; empty without one."""
+    given = headers.get_all("Authorization")
+    if len(given) != 1:
+        return ""
+    scheme, _, token = given[0].partition(" ")
+    return token.strip() if scheme.lower() == "bearer" else ""
+
+
 def check_address(host: str, port: int, access: Access) -> None:
     """ConfigError if the address needs a token, NetworkError if it cannot be used."""
     access.check_bind(host)

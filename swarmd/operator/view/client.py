@@ -18,6 +18,7 @@ from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
 
 from swarmd.operator.view.history import History, Moment, Survey
+from swarmd.operator.view.page_hand import PageHand
 from swarmd.operator.view.source import Source, hello_of, pack_scan
 from swarmd.operator.view.upload import Upload
 
@@ -47,6 +48,8 @@ class Client:
         self.role = role
         self.upload = Upload()
         self._key = key
+        self.hand: PageHand | None = None
+        """The stick of the page; None before it was used."""
         self.selected: list[str] = []
         self.past: float | None = None
         """The time that the page looks back at; None for the present."""
@@ -142,7 +145,9 @@ class Client:
         request.add_done_callback(self._requests.discard)
 
     def end(self) -> None:
-        """Send nothing more, and cancel the requests of the page."""
+        """Send nothing more, cancel the requests of the page, and lose its hand."""
+        if self.hand is not None:
+            self.hand.close()
         for request in self._requests:
             request.cancel()
         if self._sending is not None:

@@ -21,6 +21,7 @@ from swarmd.operator.session.session import Session, TargetedView
 from swarmd.operator.session.targets import Targets
 from swarmd.operator.texts.assignments import read_assignments
 from swarmd.operator.texts.labels import read_changes
+from swarmd.operator.verbs.drive.ask import Hand, take
 from swarmd.operator.verbs.push.ask import Push, push_to, source_named
 from swarmd.operator.verbs.run.ask import Run, carry_out, goal_targets_of_names
 from swarmd.operator.verbs.stop import words as stop_words
@@ -68,6 +69,19 @@ class LiveCommander:
     def end_estop(self) -> None:
         """Stop repeating the emergency stop, even if acknowledgements are missing."""
         self._ending.set()
+
+    def take(self, robot: str) -> Hand:
+        """Take a robot by hand, for the stick of a page; blocks. SwarmError if it refuses."""
+        asked_at = boottime()
+        with ExitStack() as opened:
+            operator = opened.enter_context(self._make())
+            operator.expect((robot,))
+            targeted = Session(operator, began=asked_at).target(
+                Targets((robot,)), needs_status=False
+            )
+            hand = take(operator, targeted.view, robot, issued=asked_at)
+            hand.on_close = opened.pop_all().close
+        return hand
 
     async def act(self, verb: str, fields: Mapping[str, Any], tell: Tell) -> None:
         """Carry out a command; `tell` gets the answers as they come, the last one final."""

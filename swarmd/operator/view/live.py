@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import contextlib
 import math
+import re
 import threading
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from importlib.metadata import version
 from typing import Any
 
 import numpy as np
 from msgspec.structs import astuple, replace
 
+from swarmd.core.bounds import keep_newest
 from swarmd.core.codec import Decoder
 from swarmd.core.errors import ConfigError, SwarmError
+from swarmd.core.incident import IncidentKind
 from swarmd.core.keys import is_id
 from swarmd.core.messages import STATUS_SILENCE, Motion, Presence, Status, Tracks
 from swarmd.core.values import Array, Platform, Scan
@@ -26,6 +30,7 @@ from swarmd.operator.session.operator import Operator
 from swarmd.operator.texts.status import sections
 from swarmd.operator.texts.why import absence, standing_time, why
 from swarmd.operator.view.history import SPAN
+from swarmd.operator.view.metrics import Seen, exposition
 from swarmd.operator.view.source import ShownArena, ShownRobot, limits_of, points_of, row_of
 from swarmd.settings.platforms import load_platform
 
@@ -47,6 +52,11 @@ Describe = Callable[[str], Sequence[Mapping[str, Any]]]
 _motion = Decoder(Motion)
 _tracks = Decoder(Tracks)
 _DESCRIBED = ("summary", "group", "platform", "params", "report_units")
+MAX_INCIDENTS = 4096  # whose ids are kept, so that each counts once
+_KINDS = "|".join(IncidentKind)
+_INCIDENT = re.compile(
+    rf"incident (?P<id>[0-9a-f]{{12}}) of (?P<robot>\S{{1,63}}): (?P<kind>{_KINDS}): "
+)
 _WATCHED_AGE = 1.5  # s after which tracks and scans are not shown
 
 
@@ -87,6 +97,9 @@ class LiveSource:
         self._platforms: dict[str, Platform | None] = {}  # None: not known on this machine
         self._watched: frozenset[str] = frozenset()  # robots whose scans and tracks are subscribed
         self._links: frozenset[tuple[str, str]] = frozenset()  # pairs that hear each other
+        self._looked_at: float | None = None  # s; the last look
+        self._incidents: dict[str, tuple[str, str]] = {}  # by id: robot and kind
+        self._incident_counts: Counter[tuple[str, str]] = Counter()
         self._watch = SwarmWatch(operator, on_status=self._on_status, on_view=self._on_view)
 
     def start(self) -> None:
@@ -250,6 +263,22 @@ class LiveSource:
             ],
         }
 
+    def metrics(self) -> str:
+        """The figures of the swarm, for programs that scrape them (`metrics.py`)."""
+        now = time.monotonic()
+        with self._lock:
+            looked_at = self._looked_at
+            incidents = dict(self._incident_counts)
+        seen = Seen(
+            swarm=self.swarm,
+            version=version("swarmd"),
+            view=self.view,
+            look_age=None if looked_at is None else now - looked_at,
+            statuses=self.statuses(),
+            incidents=incidents,
+        )
+        return exposition(seen)
+
     def select(self, names: Sequence[str]) -> None:
         """Watch the scans and tracks of these robots and of no others."""
         wanted = frozenset(names)
@@ -274,11 +303,24 @@ class LiveSource:
         if found := [line for line in lines if line.kind != "gap"]:
             self._lines.extend(found)
             self._marks = None
+            for line in found:
+                self._count_incident(line.text)
+
+    def _count_incident(self, text: str) -> None:
+        """Count the incident that a line of a robot's log tells, once, whoever tells it."""
+        told = _INCIDENT.match(text)
+        if told is None or told["id"] in self._incidents:
+            return
+        robot_and_kind = told["robot"], told["kind"]
+        keep_newest(self._incidents, told["id"], robot_and_kind, MAX_INCIDENTS)
+        if robot_and_kind in self._incident_counts or len(self._incident_counts) < MAX_INCIDENTS:
+            self._incident_counts[robot_and_kind] += 1
 
     def _on_view(self, view: MembersView) -> None:
         """Take a look; the thread of the watch calls this after each look."""
         with self._lock:
-            self._note(self._feed.on_view(view, time.monotonic()))
+            self._looked_at = time.monotonic()
+            self._note(self._feed.on_view(view, self._looked_at))
         is_few = len(view.members) <= MAX_LINKED
         self._links = self._operator.links() if is_few else frozenset()
 

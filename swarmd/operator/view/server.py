@@ -1,14 +1,15 @@
 """Serves the page of a swarm: static files, and one WebSocket for each page that is open.
 
-The messages on the WebSocket:
+`/metrics` has the figures of a living swarm for programs (`metrics.py`). The messages on the
+WebSocket:
 
 - to the page, as JSON: `hello` (robots and patterns), `rows` (statuses by robot), `detail` (of a
   selected robot), `boxes`, `links`, `programs`, `playback`, `plots`, `marks` (events), `notice` and
   `overload` (texts), `answer` (to a command) and `estop`,
 - to the page, as bytes: frames (poses) and scans (`source.pack_frame`),
 - from the page: `ack` (of a frame), `select` (robots), `play`, `seek` and `choose` (of a recorded
-  run), `past` (a time to look back at), `act` (a command) and `file` (a piece of the file of a
-  command to come).
+  run), `past` (a time to look back at), `act` (a command), `file` (a piece of the file of a
+  command to come) and `hand` (a stick that drives a robot, `page_hand.py`).
 
 The server remembers an emergency stop that not all robots have acknowledged: a page that opens
 later shows it.
@@ -29,7 +30,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict
 from importlib.resources import files
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 from urllib.parse import parse_qs
 
 from websockets.asyncio.server import Server, ServerConnection, serve
@@ -42,14 +43,24 @@ from swarmd.core.clock import boottime
 from swarmd.core.errors import SwarmError
 from swarmd.core.token_bucket import TokenBucket
 from swarmd.operator.client.input_watch import TOO_LATE, InputWatch
-from swarmd.operator.view.access import HEADERS, Access, check_address, page_url, unusable
+from swarmd.operator.view.access import (
+    HEADERS,
+    Access,
+    bearer_token,
+    check_address,
+    page_url,
+    unusable,
+)
 from swarmd.operator.view.client import Client, Rows
 from swarmd.operator.view.history import History, Survey
+from swarmd.operator.view.metrics import CONTENT_TYPE
+from swarmd.operator.view.page_hand import HeldRobot, PageHand
 from swarmd.operator.view.playback import Playback
 from swarmd.operator.view.source import (
     DETAIL_KEYS,
     STOPS,
     CommandProgress,
+    Measured,
     Source,
     json_of,
     pack_frame,
@@ -99,6 +110,14 @@ class Commander(Protocol):
 
     def end_estop(self) -> None:
         """Stop repeating the emergency stop, even if acknowledgements are missing."""
+
+
+@runtime_checkable
+class Driving(Protocol):
+    """A commander whose pages may drive a robot by hand."""
+
+    def take(self, robot: str) -> HeldRobot:
+        """Take a robot by hand; blocks. SwarmError if the robot refuses."""
 
 
 class ViewServer:
@@ -153,7 +172,9 @@ class ViewServer:
     async def close(self, reason: str = "") -> None:
         """End the server; its pages show `reason`, at most 120 bytes."""
         text = reason.encode()[:120].decode(errors="ignore")
+        hands = [client.hand for client in self._clients if client.hand is not None]
         await asyncio.gather(*(self._dismiss(client, text) for client in self._clients))
+        await asyncio.gather(*(hand.closed() for hand in hands))
         for connection in list(self._waiting):
             connection.transport.abort()
         for task in self._tasks:
@@ -179,9 +200,11 @@ class ViewServer:
     def _static(self, connection: ServerConnection, request: Request) -> Response | None:
         if not self._access.allows(request.headers):
             return connection.respond(http.HTTPStatus.FORBIDDEN, "a page of another site\n")
-        path = request.path.partition("?")[0]
+        path, _, query = request.path.partition("?")
         if path == "/socket":
             return None
+        if path == "/metrics":
+            return self._metrics(connection, request, query)
         name = "index.html" if path == "/" else path[1:]
         file = files("swarmd.operator.view").joinpath(PAGE, name)
         if _FILE.fullmatch(name) is None or not file.is_file():
@@ -189,6 +212,21 @@ class ViewServer:
         kind = mimetypes.guess_type(name)[0] or "application/octet-stream"
         body = file.read_bytes()
         about = {"Content-Type": f"{kind}; charset=utf-8", "Content-Length": str(len(body))}
+        return Response(200, "OK", Headers(about | HEADERS), body)
+
+    def _metrics(self, connection: ServerConnection, request: Request, query: str) -> Response:
+        """The figures of the swarm, for whoever may open a page."""
+        token = parse_qs(query).get("token", [""])[0] or bearer_token(request.headers)
+        if not self._access.role(token):
+            text = "expected the token of a page: Authorization: Bearer TOKEN\n"
+            response = connection.respond(http.HTTPStatus.UNAUTHORIZED, text)
+            response.headers["WWW-Authenticate"] = "Bearer"
+            return response
+        if not isinstance(self.source, Measured):
+            text = "figures are of a living swarm: swarmctl view --web\n"
+            return connection.respond(http.HTTPStatus.NOT_FOUND, text)
+        body = self.source.metrics().encode()
+        about = {"Content-Type": CONTENT_TYPE, "Content-Length": str(len(body))}
         return Response(200, "OK", Headers(about | HEADERS), body)
 
     # Pages
@@ -257,10 +295,28 @@ class ViewServer:
                 client.past = float(message.get("time"))
         elif kind == "file" and client.role == "operator" and self._commander is not None:
             client.upload.take(message)
+        elif kind == "hand":
+            self._on_hand(client, message)
         elif kind == "act":
             task = self._begin(self._act(client, message))
             if message.get("verb") not in STOPS:
                 client.own(task)
+
+    def _on_hand(self, client: Client, message: Mapping[str, Any]) -> None:
+        """A word of a page that drives a robot by hand."""
+        if client.role != "operator" or not isinstance(self._commander, Driving):
+            text = "this page may only look" if client.role != "operator" else "there is no robot"
+            if message.get("do") == "take":
+                client.tell({"kind": "hand", "robot": "", "is_held": False, "text": text})
+            return
+        if client.hand is None:
+            client.hand = PageHand(self._commander.take, client.tell, boottime)
+        client.hand.on_word(message, self._age_of(message.get("seen")))
+
+    def _age_of(self, seen: Any) -> float | None:
+        """Seconds since the frame `seen` was sent; None if it is not known any more."""
+        now = boottime()
+        return next((now - at for number, at in self._sent_at if number == seen), None)
 
     async def _play(
         self, client: Client, playback: Playback, kind: str, message: Mapping[str, Any]

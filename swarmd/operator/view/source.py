@@ -7,7 +7,7 @@ import math
 import struct
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -150,6 +150,14 @@ class Source(Protocol):
 
     def select(self, names: Sequence[str]) -> None:
         """Set the robots whose scans and details pages want."""
+
+
+@runtime_checkable
+class Measured(Protocol):
+    """A source whose figures programs can scrape: a living swarm."""
+
+    def metrics(self) -> str:
+        """The figures, in the text exposition format."""
 
 
 def link_of(platforms: Iterable[Platform]) -> float | None:

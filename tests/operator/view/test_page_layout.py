@@ -14,7 +14,9 @@ from swarmd.operator.session.session import TargetedView
 from swarmd.operator.session.targets import Targets
 from swarmd.operator.verbs.push.ask import Push
 from swarmd.operator.view import commander
+from swarmd.operator.view.commander import LiveCommander
 from tests.operator.view.test_fleet import ESTOP, ready, shown
+from tests.operator.view.test_page_hand import FakeHand
 from tests.support.chromium import FOUND, Page
 from tests.support.fed_swarm import PATTERNS
 from tests.support.incidents import ID
@@ -1376,3 +1378,74 @@ def test_a_robot_has_a_bar_ahead_and_a_wheel_on_each_side(
             found = page.evaluate(f"{seen}({yaw}, 'burger')")
             assert found == ["light", "dark", "dark", "body"]
         assert page.evaluate(f"{seen}(0, 'crazyflie')")[1:3] != ["dark", "dark"]
+
+
+STICK = "document.getElementById('stick')"
+
+
+@pytest.mark.parametrize(("width", "height"), [(390, 844), (1280, 720)])
+def test_a_stick_drives_the_selected_robot_until_it_is_released_or_lost(
+    page: Page,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    width: int,
+    height: int,
+) -> None:
+    hands: list[FakeHand] = []
+
+    def take(commander: LiveCommander, robot: str) -> FakeHand:
+        assert robot == "tb3-001"
+        hands.append(FakeHand())
+        return hands[-1]
+
+    monkeypatch.setattr(LiveCommander, "take", take)
+    with shown(2, capsys) as (_, (address,)):
+        page.resize(width, height, is_phone=width < 900)
+        ready(page, address, 2)
+        page.evaluate("swarm.model.select(['tb3-001'])")
+        for end in ("#release", ""):
+            hold(page)
+            x, y, size, _ = box_of(page, "#stick")
+            middle = x + size / 2.0, y + size / 2.0
+            assert size >= 44
+            assert 0.0 <= x <= width - size
+            assert y + size <= height
+            point(page, "mousePressed", *middle)
+            point(page, "mouseMoved", middle[0], y + 4.0)
+            wait_until(lambda: any(ahead > 0.1 for ahead, _, _ in hands[-1].moves), "it drives")
+            point(page, "mouseReleased", middle[0], y + 4.0)
+            wait_until(lambda: hands[-1].moves[-1][:2] == (0.0, 0.0), "it stands")
+            assert not hands[-1].ends
+            if end:
+                page.click(end)
+            else:
+                page.evaluate(f"{STICK}.dispatchEvent(new PointerEvent('pointercancel'))")
+            wanted = "released" if end else "closed"
+            wait_until(lambda: bool(hands[-1].ends), "the end")
+            assert hands[-1].ends[0] == wanted
+            page.until("document.getElementById('hand').hidden", "no stick")
+        assert page.errors == []
+
+
+def hold(page: Page) -> None:
+    """Press the button that takes the robot: again while it moves, or the machine is too late."""
+
+    def is_held() -> bool:
+        if page.evaluate("!document.getElementById('drive').hidden"):
+            page.click("#drive")
+        return bool(page.evaluate("!document.getElementById('hand').hidden"))
+
+    wait_until(is_held, "a hand")
+
+
+def point(page: Page, kind: str, x: float, y: float) -> None:
+    """The mouse is pressed, moved or released at a place."""
+    page.call(
+        "Input.dispatchMouseEvent",
+        type=kind,
+        x=x,
+        y=y,
+        button="left",
+        clickCount=1,
+        buttons=0 if kind == "mouseReleased" else 1,
+    )

@@ -8,6 +8,7 @@ import { Panels, isOnPhone } from './panels.js';
 import { Plots } from './plots.js';
 import { Link } from './socket.js';
 import { wordOf } from './states.js';
+import { Stick } from './stick.js';
 import { Timeline } from './timeline.js';
 
 const MAX_PATTERNS = 2; // that are named in the head
@@ -41,6 +42,7 @@ for (const id of ['tools', 'hints', 'legend', 'commands', 'look', 'detail-pane',
 new ResizeObserver(() => chips.fit()).observe(element('chips'));
 
 const actions = new Actions(model, (message) => link.send(message), () => panels.open('commands', false));
+const stick = new Stick(model, (message) => link.send(message));
 const link = new Link(model, {
   connected() { banner.hidden = true; actions.connected(); choose(); },
   lost(why) {
@@ -49,6 +51,7 @@ const link = new Link(model, {
     banner.hidden = false;
     model.lookAt(null);
     actions.lost(Boolean(why));
+    stick.disconnected();
   },
   message(message, now) {
     if (message.kind === 'hello') model.hello(message);
@@ -69,6 +72,7 @@ const link = new Link(model, {
     else if (message.kind === 'marks') { model.marks = message.marks; model.tell('plots'); }
     else if (message.kind === 'playback') { model.playback = message; model.tell('playback'); }
     else if (message.kind === 'answer') actions.answer(message);
+    else if (message.kind === 'hand') stick.answer(message);
     else if (message.kind === 'estop') {
       if (!message.is_final) model.lookAt(null);
       actions.estopped(message);
