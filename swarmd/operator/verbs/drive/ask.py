@@ -210,8 +210,9 @@ class Hand(Closing):
         self._operator.unwatch("status", self.robot)
         self.on_close()
 
-    def __exit__(self, kind: object, *error: object) -> None:
-        if kind is None and not self.is_over:
+    def __exit__(self, *error: object) -> None:
+        has_raised = error[0] is not None
+        if not has_raised and not self.is_over:
             outcome = self.release()
             if not outcome.applied:
                 text = _answer(outcome, self.robot)
@@ -223,8 +224,8 @@ class Hand(Closing):
     async def __aenter__(self) -> Self:
         return self
 
-    async def __aexit__(self, kind: object, *error: object) -> None:
-        await asyncio.to_thread(self.__exit__, kind, *error)
+    async def __aexit__(self, *error: object) -> None:
+        await asyncio.to_thread(self.__exit__, *error)
 
     def _stand_quietly(self) -> None:
         with self._changed:
