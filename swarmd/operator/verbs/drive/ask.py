@@ -211,8 +211,8 @@ class Hand(Closing):
         self.on_close()
 
     def __exit__(self, *error: object) -> None:
-        is_regular = error[0] is None  # error: type, value and traceback
-        if is_regular and not self.is_over:
+        has_raised = error[0] is not None
+        if not has_raised and not self.is_over:
             outcome = self.release()
             if not outcome.applied:
                 text = _answer(outcome, self.robot)
