@@ -32,6 +32,7 @@ from swarmd.daemon.recording.fetch import (
 from swarmd.operator.cli import record
 from swarmd.operator.cli.options import CommonOptions
 from swarmd.operator.cli.swarmctl import cli, exit_code_of, run_cli
+from swarmd.operator.verbs.record import ask
 
 CONTENT = bytes(range(256)) * 500  # 128 kB
 
@@ -205,7 +206,7 @@ def test_a_robot_that_refuses_a_file_and_falls_silent_is_missing_once(
     reply = RecordingsReply(robot="r", now=1.0, clock="00ff", files=files)
     monkeypatch.setattr(CommonOptions, "operator", lambda options: nullcontext())
     monkeypatch.setattr(record, "_recordings", lambda *_: ({"r": reply}, []))
-    monkeypatch.setattr(record, "_ask", lambda options, operator, *query: robots.ask(*query))
+    monkeypatch.setattr(ask, "ask_of", lambda session: robots.ask)
     words = ["record", "fetch", "--all", "-d", str(tmp_path), "-o", "json"]
     run_cli(cli, words, "swarmctl", exit_code_of)
     fetched = json.loads(capsys.readouterr().out)
