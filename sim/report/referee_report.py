@@ -86,7 +86,7 @@ def sentence_of(findings: Sequence[Finding]) -> str:
 
 def rows_of(findings: Sequence[Finding]) -> list[tuple[str, ...]]:
     """The cells of HEAD for each case but the control, as text."""
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for one in findings:
         if one.case == STAND:
             continue
