@@ -195,8 +195,7 @@ def referee(
 
     # 3. The table, the report and the exit code.
     findings = judging.findings_of(found)
-    both = *(one.bits for one in findings), *(one.bits for one in decisions)
-    bits = judging.bits_of(both)
+    bits = judging.bits_of([*(one.bits for one in findings), *(one.bits for one in decisions)])
     refereed = Refereed(
         controller=controller,
         digest=digest,

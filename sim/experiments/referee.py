@@ -231,7 +231,7 @@ def findings_of(found: Sequence[tuple[Case, Results]]) -> list[Finding]:
         pairs.append((case, results, against if other is not None else ""))
         difference = None
         if other is not None and results.rows and other[1].rows:
-            (difference,) = compare(_side(*other), _side(case, results), [case.metric])
+            difference = compare(_side(*other), _side(case, results), [case.metric])[0]
         differences.append(difference)
     adjusted = iter(corrected([one for one in differences if one is not None]))
     made = [
