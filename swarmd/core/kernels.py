@@ -1,6 +1,7 @@
 """The kernels: files with arithmetic on scans and near points, which Cython compiles.
 
-A kernel's file is the only source of its arithmetic, and `import` of its name gives what runs: the
+A kernel's file is the only source of its arithmetic; a `.pxd` beside it has what C needs beyond it
+(`kernel_types.py`). The file reads as Python, and `import` of its name gives what runs: the
 compiled module, or else the interpreted one. `swarmd/__init__.py` installs the `KernelFinder`,
 which Python asks before it looks for a file. Under `SWARMD_COMPILED=0` it finds nothing; a test
 gets both forms in one process by tests/support/kernel_forms.py.
@@ -245,6 +246,12 @@ def source_of(name: str) -> str:
     return name.replace(".", "/").replace("swarmd/sim/", "sim/") + ".py"
 
 
+def files_of(name: str) -> tuple[str, str]:
+    """The paths in the repository of a kernel's file, and of its `.pxd`, which may be absent."""
+    source = source_of(name)
+    return source, source.removesuffix("py") + "pxd"
+
+
 def kernels_of(library: str) -> tuple[str, ...]:
     """The kernels in a library, each once."""
     return tuple(dict.fromkeys(chain.from_iterable(LIBRARIES[library].values())))
@@ -272,7 +279,8 @@ def _fault_of(name: str) -> str:
     from pathlib import Path  # each `import swarmd` runs this file
 
     root = Path(path).parents[name.count(".")]
-    files = (root / f"{one.replace('.', '/')}.py" for one in kernels_of(name))
+    bases = (root / one.replace(".", "/") for one in kernels_of(name))
+    files = (base.with_suffix(suffix) for base in bases for suffix in (".py", ".pxd"))
     sources = [file.read_bytes() for file in files if file.exists()]
     is_stale = _digest_in(library, "views_digest") != _digest_in(views, "views_digest")
     if sources:
