@@ -335,6 +335,26 @@ class BuildKernels(build_ext):
         return made
 
 
+def code_of_same_text(unit: str) -> str:
+    """The path of the C code of a unit in the build folder $SWARMD_MADE_IN of another copy.
+
+    Empty unless Cython made it of the very text that is here: to run Cython on all units takes 20 s
+    of the trial of a wheel, whose kernels `make kernels` has compiled before.
+    """
+    made = Path(os.environ.get("SWARMD_MADE_IN", ""))
+    code = made / GENERATED.name / unit / f"{unit.rpartition('.')[2]}.c"
+    if "SWARMD_MADE_IN" not in os.environ or not code.exists():
+        return ""
+    texts = [file for file in (JOINED / unit).rglob("*") if file.suffix in (".py", ".pyx")]
+    for text in texts:
+        other = made / text.relative_to(JOINED.parent)
+        if not other.exists() or text.read_bytes() != other.read_bytes():
+            return ""
+    own = GENERATED / unit / code.name
+    write(own, code.read_text())
+    return str(own)
+
+
 def write_code(module: str) -> str:
     """Write the C code of a unit, or of the views; its path."""
     from Cython.Build import cythonize
@@ -343,6 +363,8 @@ def write_code(module: str) -> str:
     generated = (GENERATED / module).absolute()
     if module in UNITS:
         write_unit(module)
+        if taken := code_of_same_text(module):
+            return taken
     folder = JOINED / module
     folder.mkdir(parents=True, exist_ok=True)
     with chdir(folder):  # so that tracebacks name the files by their places in the package
