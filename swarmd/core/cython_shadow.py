@@ -78,7 +78,11 @@ class _Declared:
 double = const_double = float = _Type(0.0)
 int = longlong = Py_ssize_t = uchar = short = _Type(0)
 bint = _Type(False)
-Doubles = Indices = Table = IndexTable = Block = object  # views of memory
+Doubles = object  # this and the next four are views of memory
+Indices = object
+Table = object
+IndexTable = object
+Block = object
 
 _ZERO = {"float": double, "int": int, "bool": bint}
 """By the annotation of an attribute of an extension type: the type that begins it."""

@@ -86,7 +86,8 @@ def pure_type(text: str) -> str:
     """A type of C as pure-Python mode names it; any other type as it is."""
     match = _TYPE.fullmatch(text.strip())
     assert match
-    base, kind = match[1].strip(), match[2] or ""
+    base = match[1].strip()
+    kind = match[2] or ""
     if base not in NUMBERS:
         return text.strip()
     name = NUMBERS[base][0]
@@ -97,7 +98,8 @@ def python_type(text: str) -> str:
     """The type of Python that a `.py` has for a type of C; empty for any other type."""
     match = _TYPE.fullmatch(text.strip())
     assert match
-    base, kind = match[1].strip(), match[2] or ""
+    base = match[1].strip()
+    kind = match[2] or ""
     if base not in NUMBERS:
         return ""
     number = NUMBERS[base][1]

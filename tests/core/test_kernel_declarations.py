@@ -140,7 +140,8 @@ def test_the_compiler_reads_a_kernel_with_the_types_of_its_declarations() -> Non
 def test_each_line_knows_its_line_of_the_source() -> None:
     """So a traceback of compiled code names the line that a reader sees."""
     made = typed(SOURCE, DECLARED, "kernel")
-    lines, wanted = made.text.splitlines(), SOURCE.splitlines()
+    lines = made.text.splitlines()
+    wanted = SOURCE.splitlines()
     pairs = {line: wanted[made.lines[number] - 1] for number, line in enumerate(lines)}
     assert pairs["        for k in range(count):"] == "        for k in range(count):"
     assert pairs["    @cython.exceptval(-1)"] == pairs["    @cython.cfunc"]
