@@ -1,9 +1,10 @@
 """The compiled kernels; pyproject.toml holds everything else.
 
 Each kernel is a Python file that Cython compiles (pure-Python mode). swarmd/core/kernels.py lists
-the libraries, the units in each, and the kernels in each unit. A unit is one C file: its kernels
-are joined, without the imports of each other. A library is linked of its units. Where there is no
-compiler the build goes on without libraries, and CPython runs the files. A library serves the
+the libraries, the units in each, and the kernels in each unit. A `.pxd` beside a kernel has its
+types of C, which swarmd/core/kernel_types.py puts into a copy of it. A unit is one C file: its
+kernels are joined, without the imports of each other. A library is linked of its units. Where there
+is no compiler the build goes on without libraries, and CPython runs the files. A library serves the
 Python that builds it, and is faster than one for the stable ABI (.92 of the time in the median of
 four seeds; single pairs at load gave .79 to 1.35). With SWARMD_STABLE_ABI=1, as for wheels, it
 serves Python 3.11 and all later versions. Each library holds the digest of its sources, which
@@ -20,10 +21,12 @@ import os
 import re
 import runpy
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import chdir
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 from setuptools import Extension, setup
 from setuptools.command.build import build
@@ -42,12 +45,14 @@ if sys.version_info < (3, 11):  # noqa: UP036
 KERNELS = runpy.run_path("swarmd/core/kernels.py")
 LIBRARIES, UNITS, HELPERS = KERNELS["LIBRARIES"], KERNELS["UNITS"], KERNELS["HELPERS"]
 VIEWS = KERNELS["VIEWS"]
-source_of, digest_of, kernels_of = (
-    KERNELS[name] for name in ("source_of", "digest_of", "kernels_of")
+source_of, digest_of, kernels_of, files_of = (
+    KERNELS[name] for name in ("source_of", "digest_of", "kernels_of", "files_of")
 )
+TYPES = runpy.run_path("swarmd/core/kernel_types.py")
 GENERATED = Path("build/cython")
 JOINED = Path("build/joined")
 SHADOW = "swarmd.core.cython_shadow"
+LINES_ARE_NAMED = "/* with the lines of the sources */\n"
 IS_STABLE = os.environ.get("SWARMD_STABLE_ABI") == "1"
 MACROS = [("Py_LIMITED_API", "0x030B0000")] if IS_STABLE else []
 DIRECTIVES = {
@@ -89,6 +94,20 @@ def write(file: Path, text: str) -> bool:
     return True
 
 
+@cache
+def typed(kernel: str) -> Any:
+    """A kernel with its types of C (`Typed` of swarmd/core/kernel_types.py)."""
+    source, declared = (Path(file) for file in files_of(kernel))
+    text = declared.read_text() if declared.exists() else ""
+    return TYPES["typed"](source.read_text(), text, str(source))
+
+
+def contents(kernels: Iterable[str]) -> list[bytes]:
+    """What is in the files of these kernels."""
+    files = (Path(file) for kernel in kernels for file in files_of(kernel))
+    return [file.read_bytes() for file in files if file.exists()]
+
+
 def write_unit(unit: str) -> None:
     """Write the source of a unit into its folder in JOINED.
 
@@ -97,7 +116,7 @@ def write_unit(unit: str) -> None:
     and constants of C as numbers of Python.
     """
     kernels = UNITS[unit]
-    trees = {kernel: ast.parse(Path(source_of(kernel)).read_text()) for kernel in kernels}
+    trees = {kernel: ast.parse(typed(kernel).text) for kernel in kernels}
     meanings: dict[str, set[str]] = {}
     for kernel, tree in trees.items():
         for name, meaning in names_of(tree, kernel):
@@ -136,7 +155,7 @@ def write_unit(unit: str) -> None:
         for node in classes:
             if "cython.cclass" not in map(ast.unparse, node.decorator_list):
                 text += f'{own.get(node.name, node.name)}.__module__ = "{kernel}"\n'
-    digest = digest_of([Path(source_of(kernel)).read_bytes() for kernel in kernels])
+    digest = digest_of(contents(kernels))
     title = unit.rpartition(".")[2]
     if write(JOINED / unit / f"{title}.pyx", f"# {digest} {views_digest()}\n{text}"):
         # Times of files do not tell: an older version of a source may be newer than its C code.
@@ -144,12 +163,12 @@ def write_unit(unit: str) -> None:
 
 
 def copy_of(kernel: str, tree: ast.Module, kernels: tuple[str, ...], own: dict[str, str]) -> str:
-    """The text of a kernel as a part of a unit; each statement keeps its line.
+    """The text of a kernel as a part of a unit; each statement keeps its line of the typed text.
 
     Without the imports of other kernels of the unit, with Cython in place of its stand-in, and with
     the names `own` in place of private names that another kernel has, too.
     """
-    lines = Path(source_of(kernel)).read_bytes().splitlines(keepends=True)
+    lines = typed(kernel).text.encode().splitlines(keepends=True)
     fields = {
         field.target
         for node in ast.walk(tree)
@@ -180,7 +199,12 @@ def copy_of(kernel: str, tree: ast.Module, kernels: tuple[str, ...], own: dict[s
         if node.module in (*kernels, "__future__"):
             lines[first : node.end_lineno] = [b"\n"] * (node.end_lineno - first)
         elif node.module == SHADOW:
-            lines[first] = lines[first].replace(SHADOW.encode(), b"cython.cimports.libc.math")
+            named = [one.name for one in node.names if one.name not in TYPES["VIEWS"].values()]
+            text = f"from cython.cimports.libc.math import {', '.join(named)}\n" if named else "\n"
+            lines[first : node.end_lineno] = [
+                text.encode(),
+                *[b"\n"] * ((node.end_lineno or node.lineno) - node.lineno),
+            ]
         elif node.module == SHADOW.rpartition(".")[0] and node.names[0].name == "cython_shadow":
             lines[first] = b"import cython\n"
     return b"".join(lines).decode()
@@ -211,7 +235,7 @@ def name_modules(unit: str, file: Path) -> None:
     owners = {}
     for kernel in UNITS[unit]:
         if sum(kernel in others for others in UNITS.values()) == 1:
-            for node in ast.parse(Path(source_of(kernel)).read_text()).body:
+            for node in ast.parse(typed(kernel).text).body:
                 if isinstance(node, ast.ClassDef | ast.FunctionDef):
                     owners[node.name] = kernel
 
@@ -221,6 +245,25 @@ def name_modules(unit: str, file: Path) -> None:
     pattern = rf'"{re.escape(unit)}\.((?:"")?)(\w+)'
     text = re.sub(pattern, named, file.read_text())
     write(file, text)
+
+
+def name_lines(unit: str, file: Path) -> None:
+    """Let the C code name the lines of the sources, where Cython names those of the typed text."""
+    text = file.read_text()
+    if text.endswith(LINES_ARE_NAMED):
+        return
+    table = re.search(r"__pyx_f\[\] = \{(.*?)\};", text, re.DOTALL)
+    assert table
+    kernels = {kernel.replace(".", "/") + ".py": kernel for kernel in UNITS[unit]}
+    names = re.findall(r'"(.*)"', table[1])
+
+    def named(match: re.Match[str]) -> str:
+        kernel = kernels.get(names[int(match[2])])
+        line = match[3] if kernel is None else typed(kernel).lines[int(match[3]) - 1]
+        return f"{match[1]}({match[2]}, {line}, "
+
+    text = re.sub(r"\b(__PYX_ERR|__PYX_MARK_ERR_POS)\((\d+), (\d+), ", named, text)
+    write(file, text + LINES_ARE_NAMED)
 
 
 def views_digest() -> str:
@@ -238,8 +281,8 @@ def write_digests(library: str) -> str:
     file = GENERATED / f"{library}.digest.c"
     text = f'const char views_digest[] = "{views_digest()}";\n'
     if library in LIBRARIES:
-        sources = [Path(source_of(name)).read_bytes() for name in kernels_of(library)]
-        text += f'const char source_digest[] = "{digest_of(sources)}";\n'
+        digest = digest_of(contents(kernels_of(library)))
+        text += f'const char source_digest[] = "{digest}";\n'
     write(file, text)
     return str(file)
 
@@ -292,6 +335,26 @@ class BuildKernels(build_ext):
         return made
 
 
+def code_of_same_text(unit: str) -> str:
+    """The path of the C code of a unit in the build folder $SWARMD_MADE_IN of another copy.
+
+    Empty unless Cython made it of the very text that is here: to run Cython on all units takes 20 s
+    of the trial of a wheel, whose kernels `make kernels` has compiled before.
+    """
+    made = Path(os.environ.get("SWARMD_MADE_IN", ""))
+    code = made / GENERATED.name / unit / f"{unit.rpartition('.')[2]}.c"
+    if "SWARMD_MADE_IN" not in os.environ or not code.exists():
+        return ""
+    texts = [file for file in (JOINED / unit).rglob("*") if file.suffix in (".py", ".pyx")]
+    for text in texts:
+        other = made / text.relative_to(JOINED.parent)
+        if not other.exists() or text.read_bytes() != other.read_bytes():
+            return ""
+    own = GENERATED / unit / code.name
+    write(own, code.read_text())
+    return str(own)
+
+
 def write_code(module: str) -> str:
     """Write the C code of a unit, or of the views; its path."""
     from Cython.Build import cythonize
@@ -300,6 +363,8 @@ def write_code(module: str) -> str:
     generated = (GENERATED / module).absolute()
     if module in UNITS:
         write_unit(module)
+        if taken := code_of_same_text(module):
+            return taken
     folder = JOINED / module
     folder.mkdir(parents=True, exist_ok=True)
     with chdir(folder):  # so that tracebacks name the files by their places in the package
@@ -313,6 +378,7 @@ def write_code(module: str) -> str:
     code = GENERATED / module / f"{title}.c"
     if module in UNITS:
         name_modules(module, code)
+        name_lines(module, code)
     return str(code)
 
 

@@ -24,7 +24,7 @@ _NUMBERS = {
     "short": "int",
     "uchar": "int",
 }
-_VIEWS = {1: "View", 2: "Table", 3: "Block"}  # by the number of dimensions
+_VIEWS = {1: "View", 2: "_Table", 3: "_Block"}  # by the number of dimensions
 
 
 class KernelTypes(Plugin):

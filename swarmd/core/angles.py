@@ -8,17 +8,13 @@ from __future__ import annotations
 
 import math
 
-from swarmd.core import cython_shadow as cython
 from swarmd.core.cython_shadow import fabs, fmod
 
-PI = cython.declare(cython.double, math.pi)
-TURN = cython.declare(cython.double, 2.0 * math.pi)
+PI = math.pi
+TURN = 2.0 * math.pi
 
 
-@cython.cfunc
-@cython.inline
-@cython.exceptval(check=False)
-def mod_turn(angle: cython.double) -> cython.double:
+def mod_turn(angle: float) -> float:
     """The angle modulo a full turn, with the bits of numpy's %."""
     if 0.0 <= angle < TURN:
         return angle
@@ -32,25 +28,16 @@ def mod_turn(angle: cython.double) -> cython.double:
     return rest
 
 
-@cython.cfunc
-@cython.inline
-@cython.exceptval(check=False)
-def wrap(angle: cython.double) -> cython.double:
+def wrap(angle: float) -> float:
     """The same direction within [-pi, pi)."""
     return mod_turn(angle + PI) - PI
 
 
-@cython.cfunc
-@cython.inline
-@cython.exceptval(check=False)
-def angle_between(first: cython.double, second: cython.double) -> cython.double:
+def angle_between(first: float, second: float) -> float:
     """The angle between two directions."""
     return fabs(wrap(first - second))
 
 
-@cython.cfunc
-@cython.inline
-@cython.exceptval(check=False)
-def difference(to: cython.double, origin: cython.double) -> cython.double:
+def difference(to: float, origin: float) -> float:
     """The turn from `origin` to `to`, within [-pi, pi), counter-clockwise positive."""
     return wrap(to - origin)

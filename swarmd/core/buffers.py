@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from swarmd.core import cython_shadow as cython
+from swarmd.core.cython_shadow import Doubles, Indices
 
 if TYPE_CHECKING:
     from swarmd.core.values import Array
 
 
-@cython.cfunc
 def view(values: Array) -> Any:
     """`values` (n,) or (n, m) of any type as a kernel reads them: in CPython numbers of Python."""
     table = np.ascontiguousarray(values, np.float64)
@@ -28,39 +28,32 @@ def view(values: Array) -> Any:
     return table
 
 
-@cython.cfunc
 def view_of(values: Array) -> Any:
     """An array of doubles itself, also to write into it."""
     return values if cython.compiled else values.data
 
 
-@cython.cfunc
-def doubles(count: cython.Py_ssize_t) -> cython.double[::1]:
+def doubles(count: int) -> Doubles:
     """A buffer of `count` doubles, all 0."""
     return array("d", bytes(8 * count)) if cython.compiled else [0.0] * count
 
 
-@cython.cfunc
-def scratch(count: cython.Py_ssize_t) -> cython.double[::1]:
+def scratch(count: int) -> Doubles:
     """A buffer of `count` doubles with any contents, which takes a tenth of the time."""
     return np.empty(count) if cython.compiled else [math.nan] * count
 
 
-@cython.cfunc
-def indices(count: cython.Py_ssize_t) -> cython.longlong[::1]:
+def indices(count: int) -> Indices:
     """A buffer of `count` indices, all 0."""
     return array("q", bytes(8 * count)) if cython.compiled else [0] * count
 
 
-@cython.cfunc
-def flags(count: cython.Py_ssize_t) -> cython.uchar[::1]:
+def flags(count: int) -> Indices:
     """A buffer of `count` truth values, all false."""
     return array("B", bytes(count)) if cython.compiled else [0] * count
 
 
-@cython.cfunc
-@cython.inline
-def checked(values: cython.double[::1], count: cython.Py_ssize_t) -> cython.p_double:
+def checked(values: Doubles, count: int) -> Doubles:
     """The values, of which a loop uses the first `count`; IndexError if there are fewer.
 
     A loop reads a buffer by this pointer, so that the length is checked once before the loop, and
@@ -73,9 +66,7 @@ def checked(values: cython.double[::1], count: cython.Py_ssize_t) -> cython.p_do
     return cython.address(values[0])
 
 
-@cython.cfunc
-@cython.inline
-def checked_indices(values: cython.longlong[::1], count: cython.Py_ssize_t) -> cython.p_longlong:
+def checked_indices(values: Indices, count: int) -> Indices:
     """As `checked`, for indices."""
     if len(values) < count:
         raise IndexError(f"{len(values)} indices; expected {count}")
@@ -84,9 +75,6 @@ def checked_indices(values: cython.longlong[::1], count: cython.Py_ssize_t) -> c
     return cython.address(values[0])
 
 
-@cython.cfunc
-@cython.inline
-@cython.exceptval(check=False)
-def wrapped_index(i: cython.Py_ssize_t, n: cython.Py_ssize_t) -> cython.Py_ssize_t:
+def wrapped_index(i: int, n: int) -> int:
     """i modulo n, for i below 2 n, without a slow division."""
     return i - n if i >= n else i

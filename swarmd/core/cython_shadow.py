@@ -78,6 +78,14 @@ class _Declared:
 double = const_double = float = _Type(0.0)
 int = longlong = Py_ssize_t = uchar = short = _Type(0)
 bint = _Type(False)
+Doubles = object  # this and the next four are views of memory
+Indices = object
+Table = object
+IndexTable = object
+Block = object
+
+_ZERO = {"float": double, "int": int, "bool": bint}
+"""By the annotation of an attribute of an extension type: the type that begins it."""
 
 
 def declare(kind: Any, value: Any = None, *, visibility: str = "private") -> Any:
@@ -131,7 +139,9 @@ def cclass(kind: type) -> Any:
     """
     # Only types of C are evaluated: mypy alone imports some of the others.
     declared = {
-        name: eval(hint, vars(sys.modules[kind.__module__])) if "cython." in hint else object
+        name: eval(hint, vars(sys.modules[kind.__module__]))
+        if "cython." in hint
+        else _ZERO.get(hint, object)
         for name, hint in inspect.get_annotations(kind).items()
     }
     attributes = vars(kind).items()

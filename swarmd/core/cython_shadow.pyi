@@ -20,7 +20,7 @@ class View(Protocol[_T]):
     def __getitem__(self, part: slice, /) -> View[_T]: ...
     def __setitem__(self, index: builtins.int, value: _T, /) -> None: ...
 
-class Table(Sized, Protocol[_T]):
+class _Table(Sized, Protocol[_T]):
     """A memory view of two dimensions."""
 
     @property
@@ -28,7 +28,7 @@ class Table(Sized, Protocol[_T]):
     def __getitem__(self, index: tuple[builtins.int, builtins.int], /) -> _T: ...
     def __setitem__(self, index: tuple[builtins.int, builtins.int], value: _T, /) -> None: ...
 
-class Block(Sized, Protocol[_T]):
+class _Block(Sized, Protocol[_T]):
     """A memory view of three dimensions."""
 
     @property
@@ -38,13 +38,19 @@ class Block(Sized, Protocol[_T]):
         self, index: tuple[builtins.int, builtins.int, builtins.int], value: _T, /
     ) -> None: ...
 
+Doubles = View[builtins.float]
+Indices = View[builtins.int]
+Table = _Table[builtins.float]
+IndexTable = _Table[builtins.int]
+Block = _Block[builtins.float]
+
 class _Type(Generic[_T]):
     @overload
     def __getitem__(self, shape: builtins.int | slice, /) -> _Type[View[_T]]: ...
     @overload
-    def __getitem__(self, shape: tuple[slice, slice], /) -> _Type[Table[_T]]: ...
+    def __getitem__(self, shape: tuple[slice, slice], /) -> _Type[_Table[_T]]: ...
     @overload
-    def __getitem__(self, shape: tuple[slice, slice, slice], /) -> _Type[Block[_T]]: ...
+    def __getitem__(self, shape: tuple[slice, slice, slice], /) -> _Type[_Block[_T]]: ...
 
 compiled: bool
 double: _Type[builtins.float]

@@ -7,21 +7,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from swarmd.core import cython_shadow as cython
 from swarmd.core.buffers import checked, checked_indices, wrapped_index
-from swarmd.core.cython_shadow import isfinite
+from swarmd.core.cython_shadow import Doubles, Indices, isfinite
 
 # Moves of the insertion sort for each ray, after which angles count as unsorted.
-_MOVES_A_RAY = cython.declare(cython.Py_ssize_t, 16)
+_MOVES_A_RAY = 16
 
 
-@cython.cfunc
-def sort_rays(
-    angles: cython.double[::1],
-    count: cython.Py_ssize_t,
-    rising: cython.double[::1],
-    order: cython.longlong[::1],
-) -> None:
+def sort_rays(angles: Doubles, count: int, rising: Doubles, order: Indices) -> None:
     """Sort the first `count` of `angles`: sets `rising`, and `order`, the indices of its rays.
 
     Rays of the same angle are in the order of their indices; NaN is last. The three buffers differ.
@@ -29,9 +22,7 @@ def sort_rays(
     An insertion sort is fast here: from the smallest angle on, the angles of most sensors rise,
     with few exceptions, along or against the index.
     """
-    i: cython.Py_ssize_t
-    k: cython.Py_ssize_t
-    ray: cython.Py_ssize_t = 0
+    ray = 0
     if count == 0:
         return
     given = checked(angles, count)
@@ -43,12 +34,12 @@ def sort_rays(
         if given[i] < given[ray]:
             ray = i
     before = given[ray - 1 if ray else count - 1]
-    index_step: cython.Py_ssize_t = 1
+    index_step = 1
     if before < given[wrapped_index(ray + 1, count)]:
         index_step = count - 1  # angles fall with the index: one back, modulo the number
 
     # 2. Inserts each angle.
-    moves_left: cython.Py_ssize_t = _MOVES_A_RAY * count
+    moves_left = _MOVES_A_RAY * count
     for i in range(count):
         angle = given[ray]
         k = i
@@ -66,7 +57,7 @@ def sort_rays(
         return
 
     # 3. Too many exceptions: sorts by numpy.
-    found: cython.longlong[::1] = np.argsort(np.asarray(angles)[:count], kind="stable")
+    found: Indices = np.argsort(np.asarray(angles)[:count], kind="stable")
     for i in range(count):
         order[i] = found[i]
         rising[i] = angles[found[i]]

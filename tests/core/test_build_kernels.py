@@ -20,11 +20,12 @@ FALSE = shutil.which("false")
 
 
 def copy_setup(folder: Path) -> None:
-    """Copy setup.py, and the file with the list of the libraries."""
+    """Copy setup.py, and the files with the list of the libraries and with the types of C."""
     shutil.copy(SETUP, folder)
-    listed = folder / "swarmd" / "core" / "kernels.py"
-    listed.parent.mkdir(parents=True)
-    shutil.copy(SETUP.parent / "swarmd" / "core" / "kernels.py", listed)
+    core = Path("swarmd", "core")
+    (folder / core).mkdir(parents=True)
+    for name in ("kernels.py", "kernel_types.py"):
+        shutil.copy(SETUP.parent / core / name, folder / core)
 
 
 @pytest.mark.skipif(FALSE is None, reason="no program that always fails")

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from swarmd.core.kernels import KERNELS, describe_kernels, source_of
+from swarmd.core.kernels import KERNELS, describe_kernels, files_of, source_of
 from tests.support.examples import part
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -28,11 +28,11 @@ FOLDERS = sorted(
 
 def digest(folder: str, root: Path = ROOT) -> str:
     """The digest of all kernels, of the tests in a folder and their rigs, and of the versions."""
-    files = {root / source_of(name) for name in KERNELS}
+    files = {root / file for name in KERNELS for file in files_of(name)}
     files |= {root / name for name in ("constraints.txt", "tests/conftest.py")}
     files |= {*(root / folder).rglob("*.py"), *(root / "tests/support").rglob("*.py")}
     found = hashlib.sha256(sys.version.encode())
-    for path in sorted(files):
+    for path in sorted(path for path in files if path.exists()):
         found.update(f"{path.relative_to(root)} {path.stat().st_size} ".encode())
         found.update(path.read_bytes())
     return found.hexdigest()

@@ -17,7 +17,8 @@ from pathlib import Path
 
 import pytest
 
-from swarmd.core.kernels import UNITS, source_of
+from swarmd.core.kernels import UNITS
+from tests.support.kernel_forms import typed_text
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -37,9 +38,7 @@ DIRECTIVES = {
 def kernels() -> dict[str, Kernel]:
     """The kernels of each unit as one source, by the name of the unit without its package."""
     return {
-        unit.rpartition("._")[2]: Kernel(
-            "".join((ROOT / source_of(name)).read_text() for name in names)
-        )
+        unit.rpartition("._")[2]: Kernel("".join(map(typed_text, names)))
         for unit, names in UNITS.items()
     }
 

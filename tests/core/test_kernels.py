@@ -24,6 +24,7 @@ from swarmd.core.kernels import (
     LIBRARIES,
     KernelFinder,
     describe_kernels,
+    files_of,
     kernels_of,
     source_of,
 )
@@ -210,8 +211,10 @@ def test_a_library_that_is_older_than_a_source_is_not_loaded_and_named_once(
     package, _, name = library.rpartition(".")
     shutil.copy(_library(library), tmp_path)
     kernels_in = tuple(kernel.removeprefix(f"{package}.") for kernel in kernels_of(library))
-    sources = [ROOT / source_of(kernel) for kernel in kernels_of(library)]
-    copies = [tmp_path / f"{one.replace('.', '/')}.py" for one in kernels_in]
+    sources = [ROOT / file for kernel in kernels_of(library) for file in files_of(kernel)]
+    bases = [tmp_path / one.replace(".", "/") for one in kernels_in]
+    copies = [base.with_suffix(suffix) for base in bases for suffix in (".py", ".pxd")]
+    pairs = [pair for pair in zip(sources, copies, strict=True) if pair[0].exists()]
     script = (
         f"import sys; sys.path.insert(0, {str(tmp_path)!r}); from swarmd.core import kernels;"
         f"kernels.LIBRARIES = {{{name!r}: {{'unit': {kernels_in}}}}};"
@@ -227,13 +230,13 @@ def test_a_library_that_is_older_than_a_source_is_not_loaded_and_named_once(
 
     loaded = ("[True, True] compiled", "")
     assert answer() == loaded, "without a source"
-    for source, copy in zip(sources, copies, strict=True):
+    for source, copy in pairs:
         copy.parent.mkdir(parents=True, exist_ok=True)
         copy.write_bytes(source.read_bytes())
     assert answer() == loaded
     text = "older than its source (run make kernels)"
     stale = f"[False, False] interpreted ({text})", f"kernel {name[1:]} is {text}"
-    for source, copy in zip(sources, copies, strict=True):
+    for source, copy in pairs:
         copy.write_bytes(source.read_bytes() + b"\n")
         assert answer() == stale
         copy.write_bytes(source.read_bytes())

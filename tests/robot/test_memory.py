@@ -15,14 +15,15 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-import swarmd
 from swarmd.core.errors import CodecError
 from swarmd.core.events import ScanInput
+from swarmd.core.kernels import KERNELS
 from swarmd.patterns.random_walk.pattern import RandomWalk
 from swarmd.robot import memory
 from swarmd.robot.memory import recall, remember
 from swarmd.robot.robot import Robot
 from swarmd.testing.scans import Disc, scan_of
+from tests.support.kernel_forms import typed_text
 from tests.support.robot_harness import RobotHarness
 
 
@@ -206,18 +207,13 @@ def test_a_memory_beyond_its_limit_or_with_a_foreign_value_is_not_made(
         remember(harness.robot)
 
 
-KERNELS = [
-    path for path in Path(swarmd.__path__[0]).rglob("*.py") if "import cython" in path.read_text()
-]
-
-
-@pytest.mark.parametrize("path", KERNELS, ids=lambda path: path.stem)
-def test_a_kernel_checks_the_indices_of_arrays_without_bounds(path: Path) -> None:
+@pytest.mark.parametrize("name", KERNELS, ids=lambda name: name.rpartition(".")[2])
+def test_a_kernel_checks_the_indices_of_arrays_without_bounds(name: str) -> None:
     """`recall` makes objects of what a file states; an index beyond an array of C may do anything.
 
     The compiler checks each index of a view, but not where a function turns that off.
     """
-    source = path.read_text()
+    source = typed_text(name)
     for one in ast.parse(source).body:
         text = "\n".join(source.splitlines()[one.lineno - 1 : one.end_lineno])
         is_open = re.search(r"cython\.\w+\[\d+\]|boundscheck\(False\)|p_double", text)
@@ -228,10 +224,10 @@ def test_a_kernel_checks_the_indices_of_arrays_without_bounds(path: Path) -> Non
             assert "def check_indices" in text, one.name
 
 
-@pytest.mark.parametrize("path", KERNELS, ids=lambda path: path.stem)
-def test_a_new_object_of_a_kernel_has_all_its_views(path: Path) -> None:
+@pytest.mark.parametrize("name", KERNELS, ids=lambda name: name.rpartition(".")[2])
+def test_a_new_object_of_a_kernel_has_all_its_views(name: str) -> None:
     """A view that is not set ends the process where its object is written to a memory."""
-    for one in ast.parse(path.read_text()).body:
+    for one in ast.parse(typed_text(name)).body:
         decorators = " ".join(map(ast.unparse, getattr(one, "decorator_list", ())))
         if not isinstance(one, ast.ClassDef) or "auto_pickle(False)" in decorators:
             continue

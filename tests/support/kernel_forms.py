@@ -12,14 +12,19 @@ import os
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from functools import cache
 from importlib import import_module
+from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
 from unittest.mock import patch
 
 import pytest
 
-from swarmd.core.kernels import KERNELS
+from swarmd.core.kernel_types import typed
+from swarmd.core.kernels import KERNELS, files_of
+
+ROOT = Path(__file__).resolve().parents[2]
 
 compares_forms = pytest.mark.compiled_only(reason="compares both forms")
 long_run = pytest.mark.compiled_only(reason="a long simulated run")
@@ -82,6 +87,13 @@ def both_forms(*names: str) -> tuple[Any, Any]:
         for modules in (others, used)
     )
     return interpreted, compiled
+
+
+@cache
+def typed_text(name: str) -> str:
+    """A kernel with the types of C of its `.pxd`, as the compiler reads it."""
+    source, declared = (ROOT / file for file in files_of(name))
+    return typed(source.read_text(), declared.read_text() if declared.exists() else "", name).text
 
 
 def interpreted(name: str, *, because: str) -> Any:

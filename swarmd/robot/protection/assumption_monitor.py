@@ -48,7 +48,7 @@ import numpy as np
 from swarmd.core import cython_shadow as cython
 from swarmd.core.angles import TURN
 from swarmd.core.buffers import view_of
-from swarmd.core.cython_shadow import copysign, cos, fabs, remainder, sin, sqrt
+from swarmd.core.cython_shadow import Doubles, Table, copysign, cos, fabs, remainder, sin, sqrt
 from swarmd.core.values import MAX_SPEED, MAX_STEP, ZERO, Array, Odometry, Platform, Twist
 from swarmd.robot.protection.decision import MovedWall
 from swarmd.robot.protection.settings import BarrierSettings
@@ -82,32 +82,32 @@ _STILL_SHARE = 0.2
 _MIN_DROP = 0.08, 0.4  # m/s and rad/s by which the command must fall at once
 _MIN_DROP_TIME = 0.1  # s that the fall takes at the declared braking, at least
 # Share of the speed: noise of odometry grows with the speed.
-_MIN_DROP_SHARE = cython.declare(cython.double, 0.5)
+_MIN_DROP_SHARE = 0.5
 # Share of the command by which the speed may differ from the command before a stop.
-_FOLLOWED = cython.declare(cython.double, 0.15)
+_FOLLOWED = 0.15
 # Readings before a stop that give its speed: the most and the least.
-_CRUISE = cython.declare(cython.Py_ssize_t, 6)
-_MIN_CRUISE = cython.declare(cython.Py_ssize_t, 2)
+_CRUISE = 6
+_MIN_CRUISE = 2
 _MIN_STOP_READINGS = 3  # readings of a stop
-_END_SHARE = cython.declare(cython.double, 0.1)  # share of the fall that remains when a stop ends
+_END_SHARE = 0.1  # share of the fall that remains when a stop ends
 # Share of the speed by which noise may raise the speed during a stop.
-_NOISE_RISE = cython.declare(cython.double, 0.3)
-_MAX_WAIT = cython.declare(cython.double, 1.5)  # s in which a stop is judged
-_MAX_PERIOD = cython.declare(cython.double, 0.3)  # s between two readings
+_NOISE_RISE = 0.3
+_MAX_WAIT = 1.5  # s in which a stop is judged
+_MAX_PERIOD = 0.3  # s between two readings
 # Share of the command before a stop by which the command may rise again.
-_COMMAND_RISE = cython.declare(cython.double, 0.2)
+_COMMAND_RISE = 0.2
 # Share of the fall of a stop by which the speed on the other axis may change: brakes that both
 # axes share then leave 0.96 of the braking for the stop.
-_OTHER_AXIS_CHANGE = cython.declare(cython.double, 0.3)
-_MAX_COMMANDS = cython.declare(cython.Py_ssize_t, 40)
-_MAX_TRAVELS = cython.declare(cython.Py_ssize_t, 64)
+_OTHER_AXIS_CHANGE = 0.3
+_MAX_COMMANDS = 40
+_MAX_TRAVELS = 64
 
-_NEAR_GAP = cython.declare(cython.double, 1.5)  # m within which an approach counts
+_NEAR_GAP = 1.5  # m within which an approach counts
 # s of scans from which a speed is measured: most and least
 _MAX_APPROACH_TIME = 0.85
 _MIN_APPROACH_TIME = 0.35
 _MIN_SCANS = 4  # in that time: a lidar of 5 Hz sees a pedestrian in no more
-_MAX_GAP_TIME = cython.declare(cython.double, 0.6)  # s between two scans of one approach
+_MAX_GAP_TIME = 0.6  # s between two scans of one approach
 _CLEARLY_FASTER = 1.15  # times others_speed: an approach that is clearly faster
 _RANGE_NOISE = 0.01  # m of the nearest range, at least
 # m, plus a share of the distance, by which a scan may differ from an even approach: if an object
@@ -129,9 +129,9 @@ _BRAKED = "braked at"
 _LATE_WHY = "commands, base or odometry are slow"
 _UNITS = "m/s2", "rad/s2", "m/s2 sideways"
 
-_max_step = cython.declare(cython.double, MAX_STEP)
-_max_speed = cython.declare(cython.double, MAX_SPEED)
-_inf = cython.declare(cython.double, math.inf)
+_max_step = MAX_STEP
+_max_speed = MAX_SPEED
+_inf = math.inf
 
 
 def _last(count: int, most: int) -> range:
@@ -159,7 +159,6 @@ def axis_of(finding: str) -> str | None:
     return "angular" if _UNITS[1] in finding else "linear"
 
 
-@cython.final
 @cython.cclass
 class _Stop:
     """A fall of the command of one axis, and the motion by odometry before and after.
@@ -167,21 +166,16 @@ class _Stop:
     Speeds are relative to `sign`, so they are positive before the stop.
     """
 
-    sign: cython.double  # 1 or -1: the direction of the motion before the stop
-    begin_speed: cython.double  # speed commanded before the stop
-    least_speed: cython.double  # lowest speed commanded since
-    fell_at: cython.double  # stamp of odometry at which the command fell
+    sign: float  # 1 or -1: the direction of the motion before the stop
+    begin_speed: float  # speed commanded before the stop
+    least_speed: float  # lowest speed commanded since
+    fell_at: float  # stamp of odometry at which the command fell
     # Periods of odometry before and after the fall: stamp at begin, stamp at end, m or rad moved.
     cruise: list[Any]
     steps: list[Any]
 
     def __init__(
-        self,
-        sign: float,
-        begin_speed: float,
-        least_speed: float,
-        fell_at: float,
-        cruise: list[Any],
+        self, sign: float, begin_speed: float, least_speed: float, fell_at: float, cruise: list[Any]
     ) -> None:
         self.sign = sign
         self.fell_at = fell_at
@@ -191,34 +185,33 @@ class _Stop:
         self.steps = []
 
 
-@cython.final
 @cython.cclass
 class _Brake:
     """Judges the stops of one axis (ahead, turning or sideways)."""
 
-    declared: cython.double  # m/s2 or rad/s2, the declared braking
-    braking: cython.double  # m/s2 or rad/s2, as declared, or measured and weaker
+    declared: float  # m/s2 or rad/s2, the declared braking
+    braking: float  # m/s2 or rad/s2, as declared, or measured and weaker
     evidence: str  # text on how the weaker braking was measured; empty without a violation
     late: str  # text on how late the base responds; empty if it is not too late
     _unit: str
     _delays: deque[float]
-    _min_drop: cython.double  # m/s or rad/s, the least fall of the command that begins a stop
+    _min_drop: float  # m/s or rad/s, the least fall of the command that begins a stop
     _stop: _Stop | None  # the stop under way; None without one
-    _command: cython.double  # the last command
+    _command: float  # the last command
     # Ring buffers (item k is at k modulo the length). The commands: how many were given, the stamp
     # since which each holds, its speed.
-    _commands: cython.Py_ssize_t
+    _commands: int
     _stamps: cython.double[40]
     _speeds: cython.double[40]
     # The periods of odometry in which the base followed a constant command: how many, and of each
     # the stamp at begin, the stamp at end, and m or rad moved.
-    _cruise_count: cython.Py_ssize_t
+    _cruise_count: int
     _cruise: cython.double[18]
-    _variance: cython.double  # of the noise of odometry, as a share of a reading
-    _freedom: cython.double  # degrees of freedom of this estimate
+    _variance: float  # of the noise of odometry, as a share of a reading
+    _freedom: float  # degrees of freedom of this estimate
     # The CUSUM test: the sum, the stops since it was zero, and the summed misfits by share.
-    _log_likelihood_sum: cython.double
-    _stop_count: cython.Py_ssize_t
+    _log_likelihood_sum: float
+    _stop_count: int
     _misfits: Array
 
     def __init__(self, declared: float, min_drop: float, unit: str) -> None:
@@ -251,8 +244,7 @@ class _Brake:
         self._commands = 0
         self._note(-math.inf, self._command)
 
-    @cython.ccall
-    def share_with(self, axis: _Brake, speed: cython.double, stamp: cython.double) -> None:
+    def share_with(self, axis: _Brake, speed: float, stamp: float) -> None:
         """Drop the stop under way if the speed on the other axis changes, too.
 
         The base may still follow any command of the last _LONGEST_DELAY s. So the present command
@@ -266,7 +258,6 @@ class _Brake:
         if stop is None:
             return
         change = fabs(axis._command - speed)
-        k: cython.Py_ssize_t
         for k in range(axis._commands - 1, max(axis._commands - _MAX_COMMANDS, 0) - 1, -1):
             change = max(change, fabs(axis._command - axis._speeds[k % _MAX_COMMANDS]))
             if axis._stamps[k % _MAX_COMMANDS] <= stamp - _LONGEST_DELAY:
@@ -274,10 +265,9 @@ class _Brake:
         if change > _OTHER_AXIS_CHANGE * (stop.begin_speed - stop.least_speed):
             self._stop = None
 
-    @cython.cfunc
-    def _note(self, stamp: cython.double, command: cython.double) -> None:
+    def _note(self, stamp: float, command: float) -> None:
         """Store a command, which holds from the stamp on, in the ring buffers."""
-        place: cython.Py_ssize_t = self._commands % _MAX_COMMANDS
+        place = self._commands % _MAX_COMMANDS
         self._stamps[place] = stamp
         self._speeds[place] = command
         self._commands += 1
@@ -287,10 +277,7 @@ class _Brake:
         self._stop_count = 0
         self._misfits = np.zeros(len(_SHARES))
 
-    @cython.ccall
-    def on_command(
-        self, command: cython.double, speed: cython.double, stamp: cython.double
-    ) -> cython.bint:
+    def on_command(self, command: float, speed: float, stamp: float) -> bool:
         """Take in a command of this axis; True if the command ends a stop that shows weak brakes.
 
         A command that falls clearly begins a stop, if the base moved as commanded before. A command
@@ -301,8 +288,7 @@ class _Brake:
             speed: m/s or rad/s, the last measured speed.
             stamp: s, of this measurement.
         """
-        previous: cython.double = self._command
-        new_speed: cython.double
+        previous = self._command
         if command == previous:
             return False
         self._command = command
@@ -318,15 +304,15 @@ class _Brake:
             return self._end(stop)
 
         # 2. The usual case, decided fast: a change that is too small even if it were a fall.
-        change: cython.double = previous - command if previous > 0.0 else command - previous
+        change = previous - command if previous > 0.0 else command - previous
         if change < self._min_drop:
             return False
 
         # 3. Relative to the motion before, a reversed command is a fall to 0.
-        begin_speed: cython.double = fabs(previous)
-        sign: cython.double = copysign(1.0, previous)
+        begin_speed = fabs(previous)
+        sign = copysign(1.0, previous)
         new_speed = max(sign * command, 0.0)
-        drop: cython.double = begin_speed - new_speed
+        drop = begin_speed - new_speed
         if drop < self._min_drop or drop < _MIN_DROP_SHARE * begin_speed:
             return False
 
@@ -341,10 +327,7 @@ class _Brake:
         starts = [3 * (k % _CRUISE) for k in _last(self._cruise_count, _CRUISE)]
         return [(self._cruise[k], self._cruise[k + 1], self._cruise[k + 2]) for k in starts]
 
-    @cython.ccall
-    def on_step(
-        self, begin: cython.double, end: cython.double, moved: cython.double
-    ) -> cython.bint:
+    def on_step(self, begin: float, end: float, moved: float) -> bool:
         """Take in a period of odometry; True if the period ends a stop that shows weak brakes.
 
         Without a stop under way, the call collects the periods in which the base follows a constant
@@ -363,18 +346,17 @@ class _Brake:
         stop.steps.append((begin, end, moved))
         period = end - begin
         speed = stop.sign * moved / period
-        was_pushed: cython.bint = speed > (1.0 + _NOISE_RISE) * stop.begin_speed
+        was_pushed = speed > (1.0 + _NOISE_RISE) * stop.begin_speed
         if was_pushed or period > _MAX_PERIOD:  # or readings of odometry were lost
             self._stop = None
             return False
         fall = stop.begin_speed - stop.least_speed
-        has_followed: cython.bint = speed - stop.least_speed <= _END_SHARE * fall
+        has_followed = speed - stop.least_speed <= _END_SHARE * fall
         if not has_followed and end - stop.fell_at <= _MAX_WAIT:
             return False
         return self._end(stop)
 
-    @cython.cfunc
-    def _cruise_on(self, begin: cython.double, end: cython.double, moved: cython.double) -> None:
+    def _cruise_on(self, begin: float, end: float, moved: float) -> None:
         """Store a period in which the base moves and follows its command.
 
         Any other period drops the stored periods. `begin`, `end`: s, the stamps of two readings of
@@ -385,14 +367,13 @@ class _Brake:
             self._cruise_count = 0
             return
         # Where the three numbers of this period begin in the ring buffer.
-        start: cython.Py_ssize_t = 3 * (self._cruise_count % _CRUISE)
+        start = 3 * (self._cruise_count % _CRUISE)
         self._cruise[start] = begin
         self._cruise[start + 1] = end
         self._cruise[start + 2] = moved
         self._cruise_count += 1
 
-    @cython.cfunc
-    def _end(self, stop: _Stop) -> cython.bint:
+    def _end(self, stop: _Stop) -> bool:
         """End the stop and judge the stop; True: the brakes are too weak.
 
         The stop updates the estimates of the delay and of the noise, and the CUSUM test.
@@ -563,13 +544,8 @@ def _since(commands: list[Any], earliest_stamp: float) -> list[Any]:
     return [*used, commands[last]]
 
 
-@cython.cfunc
 def _weighted_residuals(
-    periods: cython.double[:, ::1],
-    stamps: cython.double[::1],
-    speeds: cython.double[::1],
-    brakings: cython.double[::1],
-    total: cython.double,
+    periods: Table, stamps: Doubles, speeds: Doubles, brakings: Doubles, total: float
 ) -> Any:
     """The least weighted sums of squared residuals of the model of the base, and their delays.
 
@@ -583,18 +559,16 @@ def _weighted_residuals(
         brakings: (s,) m/s2 or rad/s2, in the scale of the commanded speeds.
         total: the weighted sum of the squared distances.
     """
-    j: cython.Py_ssize_t
-    k: cython.Py_ssize_t
-    coarse: cython.double[::1] = view_of(_DELAYS)
-    fine: cython.double[::1] = view_of(_FINE_DELAYS)
-    model_speeds: cython.double[::1] = view_of(np.zeros(len(stamps)))
-    result: cython.double[:, ::1] = view_of(np.zeros((2, len(brakings))))
+    coarse: Doubles = view_of(_DELAYS)
+    fine: Doubles = view_of(_FINE_DELAYS)
+    model_speeds: Doubles = view_of(np.zeros(len(stamps)))
+    result: Table = view_of(np.zeros((2, len(brakings))))
     for j in range(len(brakings)):
         braking = brakings[j]
         _model_speeds_at(stamps, speeds, braking, model_speeds)
 
         # 1. The best delay of the coarse grid.
-        best_coarse: cython.double = 0.0
+        best_coarse = 0.0
         least = _inf
         for k in range(len(coarse)):
             residual = _residual(periods, stamps, speeds, model_speeds, braking, coarse[k], total)
@@ -606,7 +580,7 @@ def _weighted_residuals(
         result[0, j] = _inf
         result[1, j] = best_coarse
         for k in range(len(fine)):
-            delay: cython.double = best_coarse + fine[k]
+            delay = best_coarse + fine[k]
             residual = _residual(periods, stamps, speeds, model_speeds, braking, delay, total)
             if residual < result[0, j]:
                 result[0, j] = residual
@@ -614,13 +588,9 @@ def _weighted_residuals(
     return result
 
 
-@cython.cfunc
 def _model_speeds_at(
-    stamps: cython.double[::1],
-    speeds: cython.double[::1],
-    braking: cython.double,
-    model_speeds: cython.double[::1],
-) -> cython.int:
+    stamps: Doubles, speeds: Doubles, braking: float, model_speeds: Doubles
+) -> None:
     """Set `model_speeds` (m,): the speed of the model at the stamp of each command.
 
     The model brakes evenly while its speed is above the commanded speed. Command 0 is standstill,
@@ -629,22 +599,20 @@ def _model_speeds_at(
     `stamps` (m,) s: since when each command holds. `speeds` (m,) m/s or rad/s: of each command.
     `braking`: m/s2 or rad/s2, in the scale of `speeds`.
     """
-    k: cython.Py_ssize_t
     for k in range(2, len(stamps)):
         braked_speed = model_speeds[k - 1] - braking * (stamps[k] - stamps[k - 1])
         model_speeds[k] = max(speeds[k - 1], braked_speed)
 
 
-@cython.cfunc
 def _residual(
-    periods: cython.double[:, ::1],
-    stamps: cython.double[::1],
-    speeds: cython.double[::1],
-    model_speeds: cython.double[::1],
-    braking: cython.double,
-    delay: cython.double,
-    total: cython.double,
-) -> cython.double:
+    periods: Table,
+    stamps: Doubles,
+    speeds: Doubles,
+    model_speeds: Doubles,
+    braking: float,
+    delay: float,
+    total: float,
+) -> float:
     """The weighted sum of squared residuals of the model with a braking and a delay.
 
     The speeds of the model are scaled by a factor, since odometry and base may be off by a few
@@ -661,10 +629,8 @@ def _residual(
         delay: s by which the model follows each command.
         total: the weighted sum of the squared distances.
     """
-    i: cython.Py_ssize_t
-    part: cython.Py_ssize_t
-    command: cython.Py_ssize_t = 0  # the index of the command that holds
-    count: cython.Py_ssize_t = len(stamps)
+    command = 0  # the index of the command that holds
+    count = len(stamps)
     cross_sum = 0.0
     model_sum = 0.0
     for i in range(len(periods)):
@@ -689,7 +655,6 @@ def _residual(
     return total - cross_sum * cross_sum / max(model_sum, 1e-12)
 
 
-@cython.final
 @cython.cclass
 class AssumptionMonitor:
     """Watches braking and the speed of others for one robot.
@@ -698,38 +663,38 @@ class AssumptionMonitor:
     `speed_share` in [MIN_SHARE, 1] is the share of the safe command that the base may get.
     """
 
-    speed_share = cython.declare(cython.double, visibility="readonly")
+    speed_share: float
     _settings: BarrierSettings
-    _radius: cython.double
+    _radius: float
     _linear: _Brake
     _angular: _Brake
     _lateral: _Brake | None  # None: the base cannot move sideways
     _command: Twist
     # The last reading: its stamp, pose and speeds.
-    _stamp: cython.double
-    _x: cython.double
-    _y: cython.double
-    _yaw: cython.double
-    _linear_speed: cython.double
-    _angular_speed: cython.double
-    _lateral_speed: cython.double
-    _travelled: cython.double  # m that any corner may have moved so far
+    _stamp: float
+    _x: float
+    _y: float
+    _yaw: float
+    _linear_speed: float
+    _angular_speed: float
+    _lateral_speed: float
+    _travelled: float  # m that any corner may have moved so far
     # A ring buffer of the last stamps of odometry, and of `_travelled` at each. Item k is at k
     # modulo the length; items from `_travel_first` to before `_travel_end` are in use.
     _travel_stamps: cython.double[64]
     _travels: cython.double[64]
-    _travel_first: cython.Py_ssize_t
-    _travel_end: cython.Py_ssize_t
+    _travel_first: int
+    _travel_end: int
     # Of the last scans: stamp, gap, `_travelled` when the oldest ray was measured, and on arrival.
     _gaps: deque[tuple[float, float, float, float]]
     _approach_text: str  # text on objects that are too fast; empty without a violation
-    _approach_share: cython.double  # of `speed_share`
+    _approach_share: float  # of `speed_share`
     _approaches: deque[
         tuple[float, float, float]
     ]  # the approaches that were too fast: stamp, m/s, standard deviation
     _wall_text: str  # text on walls that moved; empty without a violation
     _wall_moves: deque[tuple[float, float]]  # the walls that moved: stamp, m/s
-    _wall_moved_at: cython.double  # the stamp of the last wall that moved
+    _wall_moved_at: float  # the stamp of the last wall that moved
 
     def __init__(self, platform: Platform) -> None:
         settings = msgspec.convert(platform.protection["barrier"], BarrierSettings)
@@ -833,12 +798,12 @@ class AssumptionMonitor:
         pose = odometry.pose
         twist = odometry.twist
         begin = self._stamp
-        end: cython.double = odometry.stamp
-        x: cython.double = pose.x
-        y: cython.double = pose.y
-        yaw: cython.double = pose.yaw
-        dx: cython.double = x - self._x
-        dy: cython.double = y - self._y
+        end = odometry.stamp
+        x = pose.x
+        y = pose.y
+        yaw = pose.yaw
+        dx = x - self._x
+        dy = y - self._y
         turned = remainder(yaw - self._yaw, TURN)
         middle_yaw = self._yaw + 0.5 * turned
         distance = sqrt(dx * dx + dy * dy)
@@ -866,13 +831,13 @@ class AssumptionMonitor:
         # 2. The travel of the outermost corner, for the speed of approaching objects.
         if dx or dy or turned:
             self._travelled += distance + self._radius * fabs(turned)
-        place: cython.Py_ssize_t = self._travel_end % _MAX_TRAVELS
+        place = self._travel_end % _MAX_TRAVELS
         self._travel_stamps[place] = end
         self._travels[place] = self._travelled
         self._travel_end += 1
 
         # 3. The motion of each axis, in the direction of the mean yaw.
-        axis_distance: cython.double = cos(middle_yaw) * dx + sin(middle_yaw) * dy
+        axis_distance = cos(middle_yaw) * dx + sin(middle_yaw) * dy
         is_linear_weak = self._linear.on_step(begin, end, axis_distance)
         is_angular_weak = self._angular.on_step(begin, end, turned)
         is_lateral_weak = False

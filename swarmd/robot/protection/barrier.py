@@ -61,15 +61,14 @@ from swarmd.robot.protection.stopping import Speeds, StopCheck
 from swarmd.robot.protection.walls.standing_walls import StandingWalls
 from swarmd.robot.sensing.rays import unit_vectors
 
-SLOW_REQUEST = cython.declare(cython.double, 3.0 * CREEP_SPEED)
+SLOW_REQUEST = 3.0 * CREEP_SPEED
 """m/s: a robot with a faster request does not creep towards an obstacle."""
-CREEP_GAIN = cython.declare(cython.double, 1e-6)
+CREEP_GAIN = 1e-6
 """How much nearer to the request creeping must come; the distance is that of the projection."""
 
-_make_decision = cython.declare(object, ModeDecision)  # a C name: no lookup in each decision
+_make_decision = ModeDecision  # a C name: no lookup in each decision
 
 
-@cython.final
 @cython.cclass
 class Barrier:
     """Mode `barrier`. Units: m, s, rad."""
@@ -86,8 +85,8 @@ class Barrier:
     _stop: StopCheck
     _limiting: LimitingRows
     # The last request in the present situation, and its result.
-    _is_decided: cython.bint  # False until `_asked` is judged
-    _is_limited: cython.bint  # the request must be limited
+    _is_decided: bool  # False until `_asked` is judged
+    _is_limited: bool  # the request must be limited
     _asked: Speeds  # of the request
     _speeds: Speeds  # of the limited command
     _decision: ModeDecision  # the ModeDecision of a limited request
@@ -192,8 +191,8 @@ class Barrier:
         # 2. Time and pose of the scan. A scan that is not newer sets `min_gap` alone.
         ranges = view(scan.ranges)
         ages = NO_NUMBERS if scan.ages is None else view(scan.ages)
-        age: cython.double = context.scan_age or 0.0
-        odometry_age: cython.double = context.odometry_age or 0.0
+        age = context.scan_age or 0.0
+        odometry_age = context.odometry_age or 0.0
         newest = self._newest_age(scan)
         if not motion.begin(context.now, age, newest, context.scan_delay, odometry_age, ages):
             near.find_min_gap(ranges, scan.range_min)
@@ -241,19 +240,19 @@ class Barrier:
         # 1. The usual cases without constraints.
         feasible: FeasibleSet = self._feasible
         feasible.take_context(context, command, touch)
-        speed: cython.double = requested.linear
-        angular: cython.double = requested.angular
-        lateral: cython.double = requested.lateral
-        is_zero: cython.bint = speed == 0.0 and angular == 0.0 and lateral == 0.0
+        speed = requested.linear
+        angular = requested.angular
+        lateral = requested.lateral
+        is_zero = speed == 0.0 and angular == 0.0 and lateral == 0.0
         if is_zero or feasible.is_unbounded():
             return _make_decision(requested, False)
         if not feasible.has_scan_pose():
             return _make_decision(ZERO, True)
 
         # 2. The plane of two speeds: the linear speed in the request's direction, and the turn.
-        along_x: cython.double = 1.0
-        along_y: cython.double = 0.0
-        limit: cython.double = feasible.assumptions.linear_limit
+        along_x = 1.0
+        along_y = 0.0
+        limit = feasible.assumptions.linear_limit
         if lateral != 0.0:
             speed = hypot(requested.linear, lateral)
             along_x = requested.linear / speed
@@ -261,10 +260,8 @@ class Barrier:
             limit = linear_limit(self._limits, along_x, along_y)
 
         # 3. Builds the constraints, or repeats the decision for the same situation and request.
-        is_same_situation: cython.bint = feasible.enter(context, command, along_x, along_y, limit)
-        is_same_request: cython.bint = (
-            self._asked.linear == speed and self._asked.angular == angular
-        )
+        is_same_situation = feasible.enter(context, command, along_x, along_y, limit)
+        is_same_request = self._asked.linear == speed and self._asked.angular == angular
         if is_same_situation and self._is_decided and is_same_request:
             return self._decision if self._is_limited else _make_decision(requested, False)
 
@@ -278,33 +275,31 @@ class Barrier:
             return _make_decision(requested, False)
 
         # 5. The limited command with the obstacles that limit it.
-        linear: cython.double = self._speeds.linear
+        linear = self._speeds.linear
         twist = Twist(linear * along_x, self._speeds.angular, linear * along_y)
         rows = self._limiting.report(self._projection.x, self._projection.y)
         self._decision = _make_decision(twist, True, rows)
         return self._decision
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _judge(self, speed: cython.double, angular: cython.double) -> cython.int:
-        """1 if a request must be limited; sets `_speeds` to the limited speeds."""
+    def _judge(self, speed: float, angular: float) -> bool:
+        """True if a request must be limited; sets `_speeds` to the limited speeds."""
         axes: SpeedAxes = self._feasible.constraints.axes
         rows: ConstraintRows = self._feasible.constraints.rows
         creeping: Creeping = self._feasible.creeping
         projection: Projection = self._projection
-        wanted_x: cython.double = speed / axes.limit
-        wanted_y: cython.double = angular / axes.angular_limit
+        wanted_x = speed / axes.limit
+        wanted_y = angular / axes.angular_limit
         if creeping.is_active:
             creeping.end(rows, axes)
         projection.project(rows, wanted_x, wanted_y)
         self._speeds.linear = projection.x * axes.limit
         self._speeds.angular = projection.y * axes.angular_limit
-        is_reduced: cython.bint = self._stop.limit(self._speeds)
+        is_reduced = self._stop.limit(self._speeds)
         if not is_reduced and projection.x == wanted_x and projection.y == wanted_y:
-            return 0
+            return False
         if not creeping.is_possible:
-            return 1
-        slow_cap: cython.double = 0.0  # m/s, of the caps of a slow request
+            return True
+        slow_cap = 0.0  # m/s, of the caps of a slow request
         if 0.0 < fabs(speed) <= SLOW_REQUEST:
             creeping.allow(self._feasible.constraints.placed)
             slow_cap = maximum(creeping.cap, 0.0)
@@ -312,24 +307,20 @@ class Barrier:
             self._creep_out(wanted_x, wanted_y, slow_cap)
         elif slow_cap > 0.0:
             self._creep(wanted_x, wanted_y)
-        return 1
+        return True
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _is_locked(self) -> cython.int:
-        """1 if the present `_speeds` are no faster than a creep, and no direction is permitted."""
+    def _is_locked(self) -> bool:
+        """True if the present `_speeds` are no faster than a creep, and no direction permitted."""
         constraints: Constraints = self._feasible.constraints
         creeping: Creeping = self._feasible.creeping
         fastest = creeping.slow.fastest_corner(
             self._speeds.linear, self._speeds.angular, constraints.axes
         )
         if fastest > CREEP_SPEED:
-            return 0
+            return False
         return creeping.is_locked(constraints)
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _creep(self, wanted_x: cython.double, wanted_y: cython.double) -> cython.int:
+    def _creep(self, wanted_x: float, wanted_y: float) -> None:
         """Set `_speeds` to the command of a creeping robot, if this command is the better command.
 
         The better command is nearer to the request than the present `_speeds`, by CREEP_GAIN at
@@ -356,11 +347,7 @@ class Barrier:
             projection.x = present_x
             projection.y = present_y
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _creep_out(
-        self, wanted_x: cython.double, wanted_y: cython.double, least: cython.double
-    ) -> cython.int:
+    def _creep_out(self, wanted_x: float, wanted_y: float, least: float) -> None:
         """Set `_speeds` to the command of a locked robot, which creeps.
 
         The present `_speeds` satisfy the constraints of this robot, too, so its command is at least

@@ -20,39 +20,38 @@ SIDE_RESERVE = 0.3
 `side_reserve` in m/s lowers the speed at which a corner passes an obstacle. With a share of 0.25 an
 attacking robot touched a corner of a Waffle Pi that slid past at 2.6 cm/s, with 0.29 at 1.1 cm/s.
 """
-REACTION = cython.declare(cython.double, REACTION_TIME)
+REACTION = REACTION_TIME
 """s from a decision to the first response of the base."""
-OTHER = cython.declare(cython.longlong, 0)
-WALL = cython.declare(cython.longlong, 1)
-BARE_WALL = cython.declare(cython.longlong, 2)
+OTHER = 0
+WALL = 1
+BARE_WALL = 2
 """The kinds of obstacles: one of which nothing is known, a wall that stands, and a wall that stands
 and from which nothing extends farther than `foot` beyond its return."""
 
 
-@cython.final
 @cython.cclass
 class Assumptions:
     """The settings of mode `barrier` for one platform, and what follows from them."""
 
-    others_speed: cython.double  # m/s, fastest surface of any other object
-    standing_speed: cython.double  # m/s, the same for an obstacle of the kind WALL
-    unseen_extent: cython.double  # m by which objects extend beyond their part in the scan plane
-    foot: cython.double  # m, the same for an obstacle of the kind BARE_WALL
-    margin: cython.double  # m kept free for range noise
-    braking_linear: cython.double  # m/s2, least deceleration of the base
-    braking_angular: cython.double  # rad/s2
-    linear_limit: cython.double  # m/s ahead
-    angular_limit: cython.double  # rad/s
-    surface_speed: cython.double  # m/s, fastest corner of this robot near an obstacle
-    top_surface_speed: cython.double  # m/s, fastest place of this robot's surface anywhere
-    has_kinds: cython.bint  # a layer tells kinds of obstacles that are slower than `others_speed`
-    side_reserve: cython.double  # m/s by which a corner passes an obstacle more slowly
-    keep_out: cython.double  # m around the lidar that stay free; NaN: no circle
-    blind_radius: cython.double  # m around the lidar within which an obstacle may hide; 0: nowhere
-    fresh_binding_range: cython.double  # m, the binding range of an obstacle of age 0
-    envelope_range: cython.double  # m from an obstacle within which `surface_speed` holds
-    longest_scan_age: cython.double  # s after the middle of a scan at which a command may act
-    may_creep: cython.bint
+    others_speed: float  # m/s, fastest surface of any other object
+    standing_speed: float  # m/s, the same for an obstacle of the kind WALL
+    unseen_extent: float  # m by which objects extend beyond their part in the scan plane
+    foot: float  # m, the same for an obstacle of the kind BARE_WALL
+    margin: float  # m kept free for range noise
+    braking_linear: float  # m/s2, least deceleration of the base
+    braking_angular: float  # rad/s2
+    linear_limit: float  # m/s ahead
+    angular_limit: float  # rad/s
+    surface_speed: float  # m/s, fastest corner of this robot near an obstacle
+    top_surface_speed: float  # m/s, fastest place of this robot's surface anywhere
+    has_kinds: bool  # a layer tells kinds of obstacles that are slower than `others_speed`
+    side_reserve: float  # m/s by which a corner passes an obstacle more slowly
+    keep_out: float  # m around the lidar that stay free; NaN: no circle
+    blind_radius: float  # m around the lidar within which an obstacle may hide; 0: nowhere
+    fresh_binding_range: float  # m, the binding range of an obstacle of age 0
+    envelope_range: float  # m from an obstacle within which `surface_speed` holds
+    longest_scan_age: float  # s after the middle of a scan at which a command may act
+    may_creep: bool
 
     def __init__(self, platform: Platform, settings: BarrierSettings) -> None:
         self.others_speed = settings.others_speed
@@ -82,31 +81,19 @@ class Assumptions:
         # A range ring gives discs: where a disc may touch the robot is too uncertain to creep past.
         self.may_creep = platform.ranges is None and settings.keep_out is None
 
-    @cython.cfunc
-    @cython.inline
-    @cython.exceptval(check=False)
-    def speed_of(self, kind: cython.longlong) -> cython.double:
+    def speed_of(self, kind: int) -> float:
         """The m/s at which an obstacle of a kind may approach."""
         return self.others_speed if kind == OTHER else self.standing_speed
 
-    @cython.cfunc
-    @cython.inline
-    @cython.exceptval(check=False)
-    def extent_of(self, kind: cython.longlong) -> cython.double:
+    def extent_of(self, kind: int) -> float:
         """The m by which an obstacle of a kind may extend beyond its return."""
         return self.foot if kind == BARE_WALL else self.unseen_extent
 
-    @cython.cfunc
-    @cython.inline
-    @cython.exceptval(check=False)
-    def has_keep_out(self) -> cython.bint:
+    def has_keep_out(self) -> bool:
         """True if a circle around the lidar stays free."""
         return self.keep_out == self.keep_out
 
-    @cython.cfunc
-    @cython.inline
-    @cython.exceptval(check=False)
-    def binding_range(self, age: cython.double) -> cython.double:
+    def binding_range(self, age: float) -> float:
         """The gap in m beyond which a return constrains no command of the robot.
 
         If the platform keeps a circle around the lidar free, a return constrains the robot for two

@@ -37,6 +37,8 @@ from swarmd.core.angles import PI, TURN, angle_between, mod_turn
 from swarmd.core.buffers import doubles, flags, indices, view, wrapped_index
 from swarmd.core.cython_shadow import (
     INFINITY,
+    Doubles,
+    Indices,
     atan2,
     cos,
     fabs,
@@ -50,90 +52,81 @@ from swarmd.core.values import Array, Pose, Scan
 from swarmd.robot.protection.footprint import ScanGeometry
 
 # s for which an empty sector too narrow for a robot, and a doubtful obstacle, are remembered
-_NARROW_MEMORY = cython.declare(cython.double, 2.0)
+_NARROW_MEMORY = 2.0
 # s: the age of an obstacle that becomes doubtful; in the open, only ages above 0 grow
-_DOUBTFUL = cython.declare(cython.double, 1e-3)
+_DOUBTFUL = 1e-3
 # of range_min: a robot that moved this far has left hidden obstacles behind
-_FORGET_DISTANCE = cython.declare(cython.double, 2.0)
-_RANGE_NOISE = cython.declare(cython.double, 0.03)  # m
+_FORGET_DISTANCE = 2.0
+_RANGE_NOISE = 0.03  # m
 # of range_min: closer than this, obstacles do not move sideways
-_MIN_HIDDEN_RANGE = cython.declare(cython.double, 0.6)
+_MIN_HIDDEN_RANGE = 0.6
 # rad by which a hidden obstacle moves around the sensor between two scans, at most
-_MAX_SHIFT = cython.declare(cython.double, 0.25 * math.pi)
+_MAX_SHIFT = 0.25 * math.pi
 # m by which the visible part of an obstacle may change beside its motion
-_SHAPE_CHANGE = cython.declare(cython.double, 0.05)
+_SHAPE_CHANGE = 0.05
 # near returns that are compared at most: with so many, neighbours lie within 1 cm
-_MAX_POINTS = cython.declare(cython.Py_ssize_t, 720)
+_MAX_POINTS = 720
 # empty rays side by side that are an empty sector; fewer are drop-outs
-_MIN_EMPTY_RUN = cython.declare(cython.Py_ssize_t, 4)
-_MIN_WIDTH = cython.declare(cython.double, 0.07)  # m: no robot that a lidar sees is narrower
+_MIN_EMPTY_RUN = 4
+_MIN_WIDTH = 0.07  # m: no robot that a lidar sees is narrower
 # m of an obstacle that come into view as it leaves the zone: noise at a rim shows 1 cm in and out
-_MIN_EMERGED = cython.declare(cython.double, 0.035)
+_MIN_EMERGED = 0.035
 # a wider empty sector is open space
-_MAX_SECTOR = cython.declare(cython.double, math.radians(120.0))
+_MAX_SECTOR = math.radians(120.0)
 # a near face hides less of the horizon than this
-_MAX_FACE = cython.declare(cython.double, math.pi)
+_MAX_FACE = math.pi
 # rays beside an empty sector, at most, from which a face is extrapolated
-_EDGE_RAYS = cython.declare(cython.Py_ssize_t, 8)
+_EDGE_RAYS = 8
 # m by which a face approaches over these rays, more than noise does
-_MIN_APPROACH = cython.declare(cython.double, 0.02)
-_MAX_SLOPE = cython.declare(cython.double, 0.06)  # m per ray by which a face approaches at most
+_MIN_APPROACH = 0.02
+_MAX_SLOPE = 0.06  # m per ray by which a face approaches at most
 # half width: an obstacle in a narrower sector is level at its ends
-_FLAT = cython.declare(cython.double, math.radians(20.0))
+_FLAT = math.radians(20.0)
 
 
-@cython.cfunc
-def _nearest(
-    rising: cython.double[::1], n: cython.Py_ssize_t, wanted: cython.double
-) -> cython.Py_ssize_t:
+def _nearest(rising: Doubles, n: int, wanted: float) -> int:
     """The index of the angle nearest to `wanted`, of n > 0 rising angles."""
     angle = mod_turn(wanted)
-    low: cython.Py_ssize_t = 0
-    high: cython.Py_ssize_t = n
-    middle: cython.Py_ssize_t
+    low = 0
+    high = n
     while low < high:
         middle = (low + high) // 2
         if rising[middle] < angle:
             low = middle + 1
         else:
             high = middle
-    after: cython.Py_ssize_t = low if low < n else 0
-    before: cython.Py_ssize_t = after - 1 if after else n - 1
+    after = low if low < n else 0
+    before = after - 1 if after else n - 1
     if angle_between(rising[before], wanted) < angle_between(rising[after], wanted):
         return before
     return after
 
 
-@cython.cfunc
-def _has_near(ranges: cython.const_double[::1], limit: cython.double) -> cython.bint:
+def _has_near(ranges: Doubles, limit: float) -> bool:
     """True if a ray has a return with a range up to `limit` m."""
-    i: cython.Py_ssize_t
     for i in range(len(ranges)):  # noqa: SIM110  # Cython makes no loop of C of a generator
         if -INFINITY < ranges[i] <= limit:
             return True
     return False
 
 
-@cython.cfunc
 def _find_match(
-    xs: cython.double[::1],
-    ys: cython.double[::1],
-    point_count: cython.Py_ssize_t,
-    x: cython.double,
-    y: cython.double,
-    within: cython.double,
-    stride: cython.Py_ssize_t,
-    begin: cython.Py_ssize_t,
-) -> cython.Py_ssize_t:
+    xs: Doubles,
+    ys: Doubles,
+    point_count: int,
+    x: float,
+    y: float,
+    within: float,
+    stride: int,
+    begin: int,
+) -> int:
     """The first of the points `xs`, `ys` within `within` m of the place (x, y); -1 without one.
 
     Only every `stride`-th of the `point_count` points is compared. The result and `begin`, at which
     the search begins, are numbers among the compared points. Behind the last point, the search goes
     on at 0.
     """
-    count: cython.Py_ssize_t = (point_count + stride - 1) // stride
-    j: cython.Py_ssize_t
-    k: cython.Py_ssize_t
+    count = (point_count + stride - 1) // stride
     for j in range(count):
         k = begin + j
         if k >= count:
@@ -152,31 +145,22 @@ def _find_match(
 _NOTHING = np.empty(0)
 
 
-@cython.cfunc
-def _grown(old: cython.double[::1], n: cython.Py_ssize_t) -> cython.double[::1]:
+def _grown(old: Doubles, n: int) -> Doubles:
     """A buffer of n numbers that begins with those of `old`."""
-    i: cython.Py_ssize_t
     new = doubles(n)
     for i in range(len(old)):
         new[i] = old[i]
     return new
 
 
-@cython.cfunc
-def _finite_range(ranges: cython.double[::1], ray: cython.Py_ssize_t) -> cython.double:
+def _finite_range(ranges: Doubles, ray: int) -> float:
     """The range in m of a ray; 1e9 without a finite range."""
     return ranges[ray] if isfinite(ranges[ray]) else 1e9
 
 
-@cython.cfunc
 def _crosses_rim(
-    ranges: cython.double[::1],
-    ray_count: cython.Py_ssize_t,
-    radius: cython.double,
-    ray: cython.Py_ssize_t,
-    direction: cython.Py_ssize_t,
-    is_flat: cython.bint,
-) -> cython.bint:
+    ranges: Doubles, ray_count: int, radius: float, ray: int, direction: int, is_flat: bool
+) -> bool:
     """True if an obstacle beside an empty sector crosses the rim into the sector.
 
     The rim is the circle of `radius` m around the sensor, which sees nothing nearer. A face through
@@ -192,8 +176,8 @@ def _crosses_rim(
         return ranges[ray] <= radius + _MAX_SLOPE  # the change of range over one ray, at most
     edge_range = _finite_range(ranges, ray)
     far_range = edge_range
-    face_rays: cython.Py_ssize_t = 0
-    i: cython.Py_ssize_t = ray
+    face_rays = 0
+    i = ray
     # 1. Follows the face away from the sector, up to a step in the ranges.
     while face_rays < _EDGE_RAYS:
         i = (i + direction + ray_count) % ray_count
@@ -209,20 +193,12 @@ def _crosses_rim(
     return edge_range - min(approach / face_rays, _MAX_SLOPE) <= radius + _RANGE_NOISE
 
 
-@cython.cfunc
-def _turn_rays(
-    bearings: cython.double[::1],
-    count: cython.Py_ssize_t,
-    turned: cython.double,
-    rising: cython.double[::1],
-) -> cython.int:
+def _turn_rays(bearings: Doubles, count: int, turned: float, rising: Doubles) -> None:
     """Write into `rising` the angles of the first `count` bearings, less `turned` rad, sorted.
 
     The bearings rise but for one place, so the sort begins behind this place.
     """
-    first: cython.Py_ssize_t = 0
-    i: cython.Py_ssize_t
-    k: cython.Py_ssize_t
+    first = 0
     for i in range(1, count):
         if mod_turn(bearings[i] - turned) < mod_turn(bearings[i - 1] - turned):
             first = i
@@ -244,68 +220,68 @@ class BlindZoneMemory:
     the sensor: the least distance of the obstacle along the bearing.
     """
 
-    bearings: Array = cython.declare(object, visibility="readonly")
-    nearest: Array = cython.declare(object, visibility="readonly")
-    _radius: cython.double  # m, of the rim
-    _speed: cython.double  # m/s, the highest speed at which obstacles approach
-    _period: cython.double  # s between two scans
-    _narrowest_sector: cython.double  # rad, in which a robot may be hidden
+    bearings: Array
+    nearest: Array
+    _radius: float  # m, of the rim
+    _speed: float  # m/s, the highest speed at which obstacles approach
+    _period: float  # s between two scans
+    _narrowest_sector: float  # rad, in which a robot may be hidden
     _given_bearings: Array | None  # of the last scan; an array, recognised by its identity
-    _ray_count: cython.Py_ssize_t
-    _reserved: cython.Py_ssize_t  # rays for which the buffers have room
+    _ray_count: int
+    _reserved: int  # rays for which the buffers have room
     # By ray, in the order of rising bearings. `_order`: the index of the ray in the scan.
     # `_age_by_ray` in s is inf where no obstacle is hidden, 0 for an obstacle that does not expire,
     # and above 0 for an obstacle that may expire: a doubtful obstacle, or a narrow obstacle.
-    _order: cython.longlong[::1]
-    _bearing: cython.double[::1]
-    _rising: cython.double[::1]
-    _range: cython.double[::1]
-    _is_empty: cython.uchar[::1]
-    _is_in_entered_sector: cython.uchar[::1]
-    _was_near: cython.uchar[::1]  # in the scan before, a return was there that may have vanished
-    _is_covered: cython.uchar[::1]  # of an empty ray: in a sector that near returns covered
-    _age_by_ray: cython.double[::1]
-    _nearest_by_ray: cython.double[::1]
-    _is_face_by_ray: cython.uchar[::1]  # only a face in view continues there; or nothing is hidden
-    _exact_bearing: cython.double[::1]
+    _order: Indices
+    _bearing: Doubles
+    _rising: Doubles
+    _range: Doubles
+    _is_empty: Indices
+    _is_in_entered_sector: Indices
+    _was_near: Indices  # in the scan before, a return was there that may have vanished
+    _is_covered: Indices  # of an empty ray: in a sector that near returns covered
+    _age_by_ray: Doubles
+    _nearest_by_ray: Doubles
+    _is_face_by_ray: Indices  # only a face in view continues there; or nothing is hidden
+    _exact_bearing: Doubles
     # Empty sectors: the first ray, the number of rays, at how many ends (0 to 2) an obstacle
     # crosses the rim, and m to the square corner of rule 2.
-    _sector_count: cython.Py_ssize_t
-    _sector_first: cython.longlong[::1]
-    _sector_width: cython.longlong[::1]
-    _crossings: cython.longlong[::1]
-    _corner: cython.double[::1]
+    _sector_count: int
+    _sector_first: Indices
+    _sector_width: Indices
+    _crossings: Indices
+    _corner: Doubles
     # Near points of this scan, of the last one, and rays without return of the last one.
-    _point_count: cython.Py_ssize_t
-    _x: cython.double[::1]
-    _y: cython.double[::1]
-    _old_point_count: cython.Py_ssize_t
-    _old_x: cython.double[::1]
-    _old_y: cython.double[::1]
-    _old_empty_count: cython.Py_ssize_t
-    _old_empty: cython.double[::1]
-    _turned_angle: cython.double[::1]
+    _point_count: int
+    _x: Doubles
+    _y: Doubles
+    _old_point_count: int
+    _old_x: Doubles
+    _old_y: Doubles
+    _old_empty_count: int
+    _old_empty: Doubles
+    _turned_angle: Doubles
     # `_angle_total` rising angles, in which `_nearest` searches, and the rays to which they belong.
-    _angle_total: cython.Py_ssize_t
-    _angles: cython.double[::1]
-    _angle_rays: cython.longlong[::1]
+    _angle_total: int
+    _angles: Doubles
+    _angle_rays: Indices
     # The hidden obstacles, then the candidates: near returns of the scan before that may have
     # crossed the rim. Of each: bearing in rad, age in s, least range in m, and whether it only
     # continues a face that is in view (1.0).
-    _hidden_count: cython.Py_ssize_t
-    _candidate_count: cython.Py_ssize_t
+    _hidden_count: int
+    _candidate_count: int
     _bearings: Any
     _ranges: Any
-    _hidden_bearing: cython.double[::1]
-    _age: cython.double[::1]
-    _nearest_range: cython.double[::1]
-    _is_face: cython.double[::1]
-    _is_hidden: cython.uchar[::1]
-    _entered_x: cython.double  # m, the place at which the last obstacle became hidden
-    _entered_y: cython.double
+    _hidden_bearing: Doubles
+    _age: Doubles
+    _nearest_range: Doubles
+    _is_face: Doubles
+    _is_hidden: Indices
+    _entered_x: float  # m, the place at which the last obstacle became hidden
+    _entered_y: float
     # m beside the rim that came into view since the memory was empty, and that went out of view
-    _emerged_m: cython.double
-    _vanished_m: cython.double
+    _emerged_m: float
+    _vanished_m: float
 
     def __init__(self, range_min: float, speed: float, period: float) -> None:
         """Begin without hidden obstacles.
@@ -361,7 +337,7 @@ class BlindZoneMemory:
                 as moving away from a hidden obstacle (rule 4).
             seconds: s between the two scans.
         """
-        ranges: cython.const_double[::1] = view(scan.ranges)
+        ranges: Doubles = view(scan.ranges)
         # 1. m that an obstacle moves between two scans, and the range up to which a return is near.
         # After a pause at most 5 periods count, else all returns would be near.
         counted_s = min(seconds, 5.0 * self._period)
@@ -378,12 +354,10 @@ class BlindZoneMemory:
             self._set_bearings(scan.bearings)
         # 3. Ranges in the order of rising bearings, and the near points in the base frame. A range
         # of -inf (too close to measure) gives no point: such a ray counts as empty.
-        ray_count: cython.Py_ssize_t = self._ray_count
-        range_min: cython.double = scan.range_min
-        sensor_x: cython.double = geometry.offset[0]
-        sensor_y: cython.double = geometry.offset[1]
-        i: cython.Py_ssize_t
-        ray: cython.Py_ssize_t
+        ray_count = self._ray_count
+        range_min = scan.range_min
+        sensor_x = geometry.offset[0]
+        sensor_y = geometry.offset[1]
         for i in range(ray_count):
             ray = self._order[i]
             distance = self._range[i] = ranges[ray]
@@ -404,24 +378,21 @@ class BlindZoneMemory:
                 self._old_empty[self._old_empty_count] = self._bearing[i]
                 self._old_empty_count += 1
 
-    @cython.cfunc
     def _set_bearings(self, bearings: Array) -> None:
         """Take new bearings of the rays, and sort the rays by them."""
-        values: cython.const_double[::1] = view(bearings)
-        n: cython.Py_ssize_t = len(values)
+        values: Doubles = view(bearings)
+        n = len(values)
         if n > self._reserved:
             self._reserve(n + n // 4)
         self._given_bearings = bearings
         self._ray_count = n
-        i: cython.Py_ssize_t
         for i in range(n):
             self._turned_angle[i] = mod_turn(values[i])
         sort_rays(self._turned_angle, n, self._rising, self._order)
         for i in range(n):
             self._bearing[i] = values[self._order[i]]
 
-    @cython.cfunc
-    def _reserve(self, size: cython.Py_ssize_t) -> None:
+    def _reserve(self, size: int) -> None:
         """Make room for `size` rays; the hidden obstacles and the near points stay."""
         self._reserved = size
         self._order = indices(size)
@@ -455,10 +426,7 @@ class BlindZoneMemory:
         self._is_face = _grown(self._is_face, 2 * size)
         self._is_hidden = flags(2 * size)
 
-    @cython.cfunc
-    def _leave(
-        self, driven_x: cython.double, driven_y: cython.double, turned: cython.double
-    ) -> cython.int:
+    def _leave(self, driven_x: float, driven_y: float, turned: float) -> None:
         """Update the place at which the last obstacle became hidden, in the base frame."""
         cos_turn = cos(turned)
         sin_turn = sin(turned)
@@ -467,16 +435,15 @@ class BlindZoneMemory:
         self._entered_x = cos_turn * x + sin_turn * y
         self._entered_y = cos_turn * y - sin_turn * x
 
-    @cython.cfunc
     def _update_hidden(
         self,
-        moved_x: cython.double,
-        moved_y: cython.double,
-        turned: cython.double,
-        sensor_x: cython.double,
-        sensor_y: cython.double,
-        seconds: cython.double,
-        obstacle_step: cython.double,
+        moved_x: float,
+        moved_y: float,
+        turned: float,
+        sensor_x: float,
+        sensor_y: float,
+        seconds: float,
+        obstacle_step: float,
     ) -> None:
         """Update the hidden obstacles by this scan, and publish them.
 
@@ -484,9 +451,7 @@ class BlindZoneMemory:
         scan before. `sensor_x`, `sensor_y`: m, the place of the sensor in the base frame.
         `obstacle_step`: m that an obstacle moves between two scans.
         """
-        ray_count: cython.Py_ssize_t = self._ray_count
-        i: cython.Py_ssize_t
-        k: cython.Py_ssize_t
+        ray_count = self._ray_count
         cos_turn = cos(turned)
         sin_turn = sin(turned)
         self._find_sectors()
@@ -531,10 +496,8 @@ class BlindZoneMemory:
                 k += 1
         self._publish(k)
 
-    @cython.cfunc
-    def _approach(self, turned: cython.double, seconds: cython.double) -> cython.int:
+    def _approach(self, turned: float, seconds: float) -> None:
         """Turn the hidden obstacles by `-turned` rad, and let them approach for `seconds` s."""
-        i: cython.Py_ssize_t
         for i in range(self._hidden_count):
             self._hidden_bearing[i] -= turned
             self._nearest_range[i] = max(self._nearest_range[i] - self._speed * seconds, 0.0)
@@ -542,10 +505,8 @@ class BlindZoneMemory:
             # reached the sensor must not move away, so the obstacle is no face any more.
             if self._nearest_range[i] == 0.0:
                 self._is_face[i] = 0.0
-        return 0
 
-    @cython.cfunc
-    def _publish(self, count: cython.Py_ssize_t) -> None:
+    def _publish(self, count: int) -> None:
         """Set `bearings` and `nearest` to those of the first `count` hidden obstacles.
 
         All others are forgotten.
@@ -557,16 +518,13 @@ class BlindZoneMemory:
         self.bearings = np.array(self._bearings[:count]) if count else _NOTHING
         self.nearest = np.array(self._ranges[:count]) if count else _NOTHING
 
-    @cython.cfunc
-    def _find_sectors(self) -> cython.int:
+    def _find_sectors(self) -> None:
         """Find the empty sectors: runs of at least `_MIN_EMPTY_RUN` empty rays.
 
         An empty ray has no return. Runs continue from the last ray to the first ray.
         """
-        ray_count: cython.Py_ssize_t = self._ray_count
-        i: cython.Py_ssize_t
-        first: cython.Py_ssize_t = 0
-        end: cython.Py_ssize_t
+        ray_count = self._ray_count
+        first = 0
         self._sector_count = 0
         for i in range(ray_count):
             self._is_empty[i] = False
@@ -575,9 +533,9 @@ class BlindZoneMemory:
         if first == ray_count:  # no ray has a return
             if ray_count >= _MIN_EMPTY_RUN:
                 self._add_sector(0, ray_count)
-            return 0
+            return
         # Begin at a ray with a return, so that no run spans the end of the arrays.
-        last: cython.Py_ssize_t = first + ray_count
+        last = first + ray_count
         i = first
         while i < last:
             end = i
@@ -587,20 +545,18 @@ class BlindZoneMemory:
                 self._add_sector(wrapped_index(i, ray_count), end - i)
             i = end + 1
 
-    @cython.cfunc
-    def _add_sector(self, first: cython.Py_ssize_t, width: cython.Py_ssize_t) -> cython.int:
+    def _add_sector(self, first: int, width: int) -> None:
         """Add an empty sector of `width` rays; `first` is the index of its first ray.
 
         Stores at how many ends an obstacle crosses the rim, and the distance in m of the nearest
         right angle whose two sides meet the rim at the ends of the sector (rule 2).
         """
-        ray_count: cython.Py_ssize_t = self._ray_count
-        k: cython.Py_ssize_t = self._sector_count
-        i: cython.Py_ssize_t
+        ray_count = self._ray_count
+        k = self._sector_count
         for i in range(first, first + width):
             self._is_empty[wrapped_index(i, ray_count)] = True
         half_angle = width * PI / ray_count
-        is_flat: cython.bint = half_angle < _FLAT
+        is_flat = half_angle < _FLAT
         self._sector_first[k] = first
         self._sector_width[k] = width
         self._crossings[k] = 0
@@ -617,18 +573,17 @@ class BlindZoneMemory:
         self._corner[k] = max(self._radius * (cos(half_angle) - sin(half_angle)), 0.0)
         self._sector_count += 1
 
-    @cython.cfunc
     def _add_vanished(
         self,
-        moved_x: cython.double,
-        moved_y: cython.double,
-        cos_turn: cython.double,
-        sin_turn: cython.double,
-        sensor_x: cython.double,
-        sensor_y: cython.double,
-        obstacle_step: cython.double,
-        is_entered: cython.bint,
-    ) -> cython.int:
+        moved_x: float,
+        moved_y: float,
+        cos_turn: float,
+        sin_turn: float,
+        sensor_x: float,
+        sensor_y: float,
+        obstacle_step: float,
+        is_entered: bool,
+    ) -> None:
         """Add as candidates the near returns of the scan before that may have crossed the rim.
 
         A near return of the scan before (an old return) is a candidate if this scan has no return
@@ -640,14 +595,9 @@ class BlindZoneMemory:
         the base frame. `obstacle_step`: m that an obstacle moves between two scans. `is_entered`:
         an obstacle enters an empty sector across the rim.
         """
-        stride: cython.Py_ssize_t = 1 + self._point_count // _MAX_POINTS
+        stride = 1 + self._point_count // _MAX_POINTS
         match_distance = obstacle_step + _SHAPE_CHANGE
-        is_gone: cython.bint
-        match: cython.Py_ssize_t
-        last_match: cython.Py_ssize_t = 0
-        i: cython.Py_ssize_t
-        k: cython.Py_ssize_t
-        ray: cython.Py_ssize_t
+        last_match = 0
         # 1. The old returns in the present base frame, with their bearings and rays. The ray is -1
         # for a return too far from the rim.
         for i in range(self._ray_count):
@@ -698,8 +648,7 @@ class BlindZoneMemory:
                 self._is_face[k] = not is_gone
                 self._candidate_count += 1
 
-    @cython.cfunc
-    def _find_covered(self, obstacle_step: cython.double) -> cython.int:
+    def _find_covered(self, obstacle_step: float) -> None:
         """Find the empty sectors that near returns covered in the scan before (`_is_covered`).
 
         More than half of the rays of a covered sector had a near return (`_was_near`), and the
@@ -707,22 +656,19 @@ class BlindZoneMemory:
         `obstacle_step`, the m that obstacle and robot approach each other. No obstacle crosses the
         rim at its ends (rule 2).
         """
-        i: cython.Py_ssize_t
-        k: cython.Py_ssize_t
         for k in range(self._sector_count):
-            near_count: cython.Py_ssize_t = 0
-            width: cython.Py_ssize_t = self._sector_width[k]
+            near_count = 0
+            width = self._sector_width[k]
             rim_width = width * TURN / self._ray_count * self._radius  # m
             for i in range(self._sector_first[k], self._sector_first[k] + width):
                 near_count += self._was_near[wrapped_index(i, self._ray_count)]
-            is_covered: cython.bint = 2 * near_count > width and rim_width > 0.5 * obstacle_step
+            is_covered = 2 * near_count > width and rim_width > 0.5 * obstacle_step
             for i in range(self._sector_first[k], self._sector_first[k] + width):
                 self._is_covered[wrapped_index(i, self._ray_count)] = (
                     is_covered and not self._crossings[k]
                 )
 
-    @cython.cfunc
-    def _place(self, turned: cython.double, obstacle_step: cython.double) -> cython.int:
+    def _place(self, turned: float, obstacle_step: float) -> None:
         """Give each candidate that is still hidden its ray, by rules 3 to 5 of the module.
 
         Sets for each ray the age, the least range and `is_face` of its obstacle (see the fields).
@@ -730,17 +676,12 @@ class BlindZoneMemory:
         `turned`: rad by which the base turned since the scan before. `obstacle_step`: m that an
         obstacle moves between two scans.
         """
-        ray_count: cython.Py_ssize_t = self._ray_count
-        i: cython.Py_ssize_t
-        k: cython.Py_ssize_t
-        ray: cython.Py_ssize_t
+        ray_count = self._ray_count
         # rad by which an obstacle may have moved around the sensor between two scans
         farthest_shift = obstacle_step / (_MIN_HIDDEN_RANGE * self._radius)
         sideways_shift = min(farthest_shift, _MAX_SHIFT)
         # 1. Drops candidates that the robot has left behind, or that have expired (rule 4).
-        is_robot_near: cython.bint = (
-            hypot(self._entered_x, self._entered_y) < _FORGET_DISTANCE * self._radius
-        )
+        is_robot_near = hypot(self._entered_x, self._entered_y) < _FORGET_DISTANCE * self._radius
         for k in range(self._candidate_count):
             self._is_hidden[k] = is_robot_near and self._age[k] < _NARROW_MEMORY
         # 2. Drops candidates that have reappeared (rule 5).
@@ -763,24 +704,18 @@ class BlindZoneMemory:
             # The bearing is not rounded to that of the ray, which would lose a slow turn.
             if angle_off <= PI / ray_count:
                 self._exact_bearing[ray] = self._hidden_bearing[k]
-        return 0
 
-    @cython.cfunc
-    def _drop_reappeared(
-        self, sideways_shift: cython.double, farthest_shift: cython.double
-    ) -> cython.int:
+    def _drop_reappeared(self, sideways_shift: float, farthest_shift: float) -> None:
         """Drop the candidates that have reappeared (rule 5).
 
         `_angles` are those of the returns that came into view. A candidate within `sideways_shift`
         rad of such a return has reappeared. A candidate within `farthest_shift` rad may have
         reappeared, and becomes doubtful.
         """
-        i: cython.Py_ssize_t
-        k: cython.Py_ssize_t
         self._emerged_m = max(self._emerged_m, 0.0)
-        has_emerged: cython.bint = self._emerged_m >= min(_MIN_EMERGED, 0.5 * self._vanished_m)
+        has_emerged = self._emerged_m >= min(_MIN_EMERGED, 0.5 * self._vanished_m)
         if not (has_emerged and self._angle_total):
-            return 0
+            return
         # The candidates behind these vanished in this scan, so they have not reappeared.
         for k in range(self._hidden_count):
             i = _nearest(self._angles, self._angle_total, self._hidden_bearing[k])
@@ -790,10 +725,8 @@ class BlindZoneMemory:
             elif angle_off <= farthest_shift:
                 self._age[k] = max(self._age[k], _DOUBTFUL)
 
-    @cython.cfunc
-    def _clear_rays(self) -> cython.int:
+    def _clear_rays(self) -> None:
         """Set each ray to no obstacle, and `_angles` to the angles of the empty rays."""
-        i: cython.Py_ssize_t
         self._angle_total = 0
         for i in range(self._ray_count):
             self._exact_bearing[i] = self._bearing[i]
@@ -805,20 +738,17 @@ class BlindZoneMemory:
                 self._angle_rays[self._angle_total] = i
                 self._angle_total += 1
 
-    @cython.cfunc
-    def _find_reappeared(self, turned: cython.double, obstacle_step: cython.double) -> cython.int:
+    def _find_reappeared(self, turned: float, obstacle_step: float) -> None:
         """Find the returns near the rim whose rays were empty in the scan before.
 
         Sets `_angles` to their angles, `_angle_total` to their number, and adds to `_emerged_m`.
         """
-        ray_count: cython.Py_ssize_t = self._ray_count
-        old_empty_count: cython.Py_ssize_t = self._old_empty_count
-        i: cython.Py_ssize_t
-        k: cython.Py_ssize_t
+        ray_count = self._ray_count
+        old_empty_count = self._old_empty_count
         is_turned = False
         self._angle_total = 0
         if not old_empty_count:
-            return 0
+            return
         for i in range(ray_count):
             if -INFINITY < self._range[i] <= self._radius + obstacle_step:
                 if not is_turned:
@@ -830,31 +760,26 @@ class BlindZoneMemory:
                     self._angle_total += 1
                     self._emerged_m += self._range[i] * TURN / ray_count
 
-    @cython.cfunc
-    def _fill(self, seconds: cython.double) -> cython.int:
+    def _fill(self, seconds: float) -> None:
         """Extend hidden obstacles over their empty sectors, and let some obstacles grow older.
 
         In a sector too narrow for a robot, and in the open, obstacles grow older until they expire.
 
         `seconds`: s since the scan before.
         """
-        ray_count: cython.Py_ssize_t = self._ray_count
-        i: cython.Py_ssize_t
-        k: cython.Py_ssize_t
-        first: cython.Py_ssize_t
-        after_last: cython.Py_ssize_t
+        ray_count = self._ray_count
         for k in range(self._sector_count):
             first = self._sector_first[k]
             after_last = self._sector_first[k] + self._sector_width[k]
             least_age = INFINITY  # inf without a hidden obstacle in the sector
             for i in range(first, after_last):
                 least_age = min(least_age, self._age_by_ray[wrapped_index(i, ray_count)])
-            is_obstacle_hidden: cython.bint = least_age < INFINITY
+            is_obstacle_hidden = least_age < INFINITY
             width_rad = self._sector_width[k] * 2.0 * PI / ray_count
             if self._crossings[k] == 2 and width_rad < _MAX_FACE:
                 self._fill_with_box(k)
             elif is_obstacle_hidden and width_rad <= _MAX_SECTOR:
-                is_crossed: cython.bint = self._crossings[k] > 0
+                is_crossed = self._crossings[k] > 0
                 if width_rad >= self._narrowest_sector:
                     least_age = 0.0  # a robot may be hidden: the obstacle does not expire
                 elif is_crossed:
@@ -867,33 +792,26 @@ class BlindZoneMemory:
             elif self._crossings[k] == 0:
                 # Open space, into which no obstacle reaches: doubtful obstacles will expire.
                 for i in range(first, after_last):
-                    is_doubtful: cython.bint = (
-                        0.0 < self._age_by_ray[wrapped_index(i, ray_count)] < INFINITY
-                    )
+                    is_doubtful = 0.0 < self._age_by_ray[wrapped_index(i, ray_count)] < INFINITY
                     if is_doubtful:
                         self._age_by_ray[wrapped_index(i, ray_count)] += seconds
 
-    @cython.cfunc
-    def _fill_with_box(self, k: cython.Py_ssize_t) -> cython.int:
+    def _fill_with_box(self, k: int) -> None:
         """Fill sector `k` with an obstacle that crosses the rim at both ends (rule 2).
 
         Each ray gets an obstacle: a ray without an obstacle gets a doubtful obstacle at the
         distance of the corner. An obstacle that only continues a face moves to the corner, too.
         """
-        i: cython.Py_ssize_t
-        ray: cython.Py_ssize_t
         for i in range(self._sector_first[k], self._sector_first[k] + self._sector_width[k]):
             ray = wrapped_index(i, self._ray_count)
             self._age_by_ray[ray] = min(self._age_by_ray[ray], _DOUBTFUL)  # inf without an obstacle
             if self._is_face_by_ray[ray]:  # True without an obstacle, too
                 self._nearest_by_ray[ray] = self._corner[k]
 
-    @cython.cfunc
-    def _fill_evenly(self, k: cython.Py_ssize_t, age: cython.double) -> cython.int:
+    def _fill_evenly(self, k: int, age: float) -> None:
         """Fill sector `k` with an obstacle of `age` s at the least distance in the sector."""
-        i: cython.Py_ssize_t
-        first: cython.Py_ssize_t = self._sector_first[k]
-        after_last: cython.Py_ssize_t = first + self._sector_width[k]
+        first = self._sector_first[k]
+        after_last = first + self._sector_width[k]
         nearest = INFINITY
         for i in range(first, after_last):
             nearest = min(nearest, self._nearest_by_ray[wrapped_index(i, self._ray_count)])

@@ -5,36 +5,27 @@ Part of the unit of barrier.py. Units: m, s, rad.
 
 from __future__ import annotations
 
-from swarmd.core import cython_shadow as cython
 from swarmd.core.clock import TICK
 from swarmd.core.cython_shadow import fabs, sqrt
 from swarmd.robot.protection.comparisons import at_least
 
-DECISION_PERIOD = cython.declare(cython.double, TICK)
+DECISION_PERIOD = TICK
 """s between two decisions, for which a command stands."""
-CREEP_SPEED = cython.declare(cython.double, 0.015)
+CREEP_SPEED = 0.015
 """m/s: the highest speed of any corner in contact, where part of the obstacle may be unseen.
 
 A robot may also creep at this speed towards an obstacle that stops any faster robot.
 """
-WALL_MARGIN = cython.declare(cython.double, 0.03)
+WALL_MARGIN = 0.03
 """m before a wall that stands, beside all margins, within which the outline closes slowly."""
-WALL_SPEED = cython.declare(cython.double, 0.05)
+WALL_SPEED = 0.05
 """m/s at which the outline may close on a wall within WALL_MARGIN: noise would else stop a robot
 that slides along the wall."""
-MIN_BRAKING = cython.declare(cython.double, 0.02)
+MIN_BRAKING = 0.02
 """m/s2: the least braking assumed, for places that hardly close on an obstacle at any speed."""
 
 
-@cython.cfunc
-@cython.inline
-@cython.exceptval(check=False)
-def closing_cap(
-    room: cython.double,
-    braking: cython.double,
-    unseen: cython.double,
-    others: cython.double,
-) -> cython.double:
+def closing_cap(room: float, braking: float, unseen: float, others: float) -> float:
     """The highest closing speed in m/s from which the robot can stop in time.
 
     The speed s solves s * tick + s^2 / (2 b) + V (unseen + tick + s / b) = room. The first two
@@ -57,12 +48,7 @@ def closing_cap(
     return at_least(root - half_slope, 0.0)
 
 
-@cython.cfunc
-@cython.inline
-@cython.exceptval(check=False)
-def wall_cap(
-    room: cython.double, braking: cython.double, unseen: cython.double, error_speed: cython.double
-) -> cython.double:
+def wall_cap(room: float, braking: float, unseen: float, error_speed: float) -> float:
     """As `closing_cap`, towards a wall that stands: slow within the last WALL_MARGIN m.
 
     `error_speed`: m/s at which the place of the wall may be wrong for each s of its age.
@@ -74,12 +60,7 @@ def wall_cap(
     return cap if cap < WALL_SPEED else WALL_SPEED
 
 
-@cython.cfunc
-@cython.inline
-@cython.exceptval(check=False)
-def reciprocal_cap(
-    room: cython.double, braking: cython.double, unseen: cython.double
-) -> cython.double:
+def reciprocal_cap(room: float, braking: float, unseen: float) -> float:
     """The highest closing speed in m/s towards a robot that keeps the same rule.
 
     Each of the two robots may use half of the room. The equation is that of `closing_cap` with
@@ -92,12 +73,7 @@ def reciprocal_cap(
     return at_least(root - half_slope, 0.0)
 
 
-@cython.cfunc
-@cython.inline
-@cython.exceptval(check=False)
-def closing_deceleration(
-    linear: cython.double, lever: cython.double, slowing: cython.double, turning: cython.double
-) -> cython.double:
+def closing_deceleration(linear: float, lever: float, slowing: float, turning: float) -> float:
     """The rate in m/s2 at which the closing speed of a place of the outline can fall.
 
     `linear` (from -1 to 1) and `lever` in m: the closing speed per m/s of linear and per rad/s of

@@ -16,7 +16,7 @@ import math
 
 from swarmd.core import cython_shadow as cython
 from swarmd.core.buffers import checked, checked_indices, doubles, indices
-from swarmd.core.cython_shadow import INFINITY, cos, fabs, sin, sqrt
+from swarmd.core.cython_shadow import INFINITY, Doubles, Indices, cos, fabs, sin, sqrt
 from swarmd.core.values import Limits
 from swarmd.robot.protection.barrier_assumptions import (
     BARE_WALL,
@@ -41,26 +41,25 @@ from swarmd.robot.protection.touch_zone import TouchSector
 
 SIDE_ANGLE = math.radians(60.0)
 """rad between a return and its two side constraints."""
-ROWS_OF_A_POINT = cython.declare(cython.Py_ssize_t, 6)
+ROWS_OF_A_POINT = 6
 """Constraints that a point has at most, beside those of the corners."""
-ENVELOPE_ROWS = cython.declare(cython.Py_ssize_t, 48)
+ENVELOPE_ROWS = 48
 """Constraints of the envelope of speeds."""
 
-_SLACK = cython.declare(cython.double, 1e-6)  # far beyond BINDING_TOLERANCE
-_NEAREST = cython.declare(cython.double, 1e-9)  # m: a point at a corner or at the lidar
-_side_cos = cython.declare(cython.double, math.cos(SIDE_ANGLE))
-_side_sin = cython.declare(cython.double, math.sin(SIDE_ANGLE))
+_SLACK = 1e-6  # far beyond BINDING_TOLERANCE
+_NEAREST = 1e-9  # m: a point at a corner or at the lidar
+_side_cos = math.cos(SIDE_ANGLE)
+_side_sin = math.sin(SIDE_ANGLE)
 
 
-@cython.final
 @cython.cclass
 class SpeedAxes:
     """The plane of the two speeds: the direction of the linear speed, and the limit of each."""
 
-    along_x: cython.double
-    along_y: cython.double
-    limit: cython.double  # m/s, of the linear speed in its direction
-    angular_limit: cython.double  # rad/s
+    along_x: float
+    along_y: float
+    limit: float  # m/s, of the linear speed in its direction
+    angular_limit: float  # rad/s
 
 
 def linear_limit(limits: Limits, along_x: float, along_y: float) -> float:
@@ -72,30 +71,27 @@ def linear_limit(limits: Limits, along_x: float, along_y: float) -> float:
     )
 
 
-@cython.final
 @cython.cclass
 class ConstraintRows:
     """A table of constraints: first those with a point, then those of the envelope."""
 
-    count: cython.Py_ssize_t  # constraints without the envelope
-    all: cython.Py_ssize_t  # constraints with the envelope
-    x: cython.double[::1]  # a of a x + b y <= cap
-    y: cython.double[::1]  # b
-    cap: cython.double[::1]
-    gap: cython.double[::1]  # m to the obstacle, for reports
-    source: cython.longlong[::1]  # the index of the placed point
+    count: int  # constraints without the envelope
+    all: int  # constraints with the envelope
+    x: Doubles  # a of a x + b y <= cap
+    y: Doubles  # b
+    cap: Doubles
+    gap: Doubles  # m to the obstacle, for reports
+    source: Indices  # the index of the placed point
 
     def __init__(self) -> None:
         self._allocate(384)
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def reserve(self, room: cython.Py_ssize_t) -> cython.int:
+    def reserve(self, room: int) -> None:
         """Make the arrays at least `room` long; arrays that were shorter lose their numbers."""
         if len(self.x) < room:
             self._allocate(room + room // 2)
 
-    def _allocate(self, room: cython.Py_ssize_t) -> None:
+    def _allocate(self, room: int) -> None:
         """Make all arrays anew."""
         self.x = doubles(room)
         self.y = doubles(room)
@@ -103,18 +99,9 @@ class ConstraintRows:
         self.gap = doubles(room)
         self.source = indices(room)
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def add(
-        self,
-        x: cython.double,
-        y: cython.double,
-        cap: cython.double,
-        gap: cython.double,
-        source: cython.Py_ssize_t,
-    ) -> cython.int:
+    def add(self, x: float, y: float, cap: float, gap: float, source: int) -> None:
         """Add a constraint; `reserve` must have made room."""
-        row: cython.Py_ssize_t = self.count
+        row = self.count
         self.x[row] = x
         self.y[row] = y
         self.cap[row] = cap
@@ -123,7 +110,6 @@ class ConstraintRows:
         self.count = row + 1
 
 
-@cython.final
 @cython.cclass
 class PlacedPoints:
     """The points of one decision in the predicted base frame.
@@ -132,24 +118,24 @@ class PlacedPoints:
     `ObstacleDiscs`).
     """
 
-    seen: cython.Py_ssize_t  # number of returns; before `add_seen`, of returns to be placed
-    contacts: cython.Py_ssize_t  # how many returns, the first ones, are in contact
-    discs: cython.Py_ssize_t  # number of discs
-    x: cython.double[::1]
-    y: cython.double[::1]
-    gap: cython.double[::1]  # m from the outline
-    free: cython.double[::1]  # m that must stay free
-    age: cython.double[::1]  # s
-    contact: cython.double[::1]  # m: within this gap the obstacle may touch the robot unseen
-    scan_gap: cython.double[::1]  # m, of a seen point when it was measured
-    radius: cython.double[::1]  # m, of a disc
-    others: cython.double[::1]  # m/s at which the obstacle may approach
-    kind: cython.longlong[::1]  # of the obstacle
-    normal_x: cython.double[::1]  # the unit vector from the outline
-    normal_y: cython.double[::1]
-    first_row: cython.longlong[::1]  # the index of the first constraint of each point
-    in_touch_zone: cython.longlong[::1]  # 1 for a seen point that the robot may touch
-    near_index: cython.longlong[::1]  # of a seen point in `NearObstacles.points`
+    seen: int  # number of returns; before `add_seen`, of returns to be placed
+    contacts: int  # how many returns, the first ones, are in contact
+    discs: int  # number of discs
+    x: Doubles
+    y: Doubles
+    gap: Doubles  # m from the outline
+    free: Doubles  # m that must stay free
+    age: Doubles  # s
+    contact: Doubles  # m: within this gap the obstacle may touch the robot unseen
+    scan_gap: Doubles  # m, of a seen point when it was measured
+    radius: Doubles  # m, of a disc
+    others: Doubles  # m/s at which the obstacle may approach
+    kind: Indices  # of the obstacle
+    normal_x: Doubles  # the unit vector from the outline
+    normal_y: Doubles
+    first_row: Indices  # the index of the first constraint of each point
+    in_touch_zone: Indices  # 1 for a seen point that the robot may touch
+    near_index: Indices  # of a seen point in `NearObstacles.points`
 
     def __init__(self) -> None:
         self._allocate(96)
@@ -160,14 +146,12 @@ class PlacedPoints:
         if min(counts) < 0 or self.seen + self.discs > len(self.x):
             raise ValueError(f"contacts, seen points and discs are {counts}, in {len(self.x)}")
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def reserve(self, room: cython.Py_ssize_t) -> cython.int:
+    def reserve(self, room: int) -> None:
         """Make the arrays at least `room` long; arrays that were shorter lose their numbers."""
         if len(self.x) < room:
             self._allocate(room + room // 2)  # else each further point would make new arrays
 
-    def _allocate(self, room: cython.Py_ssize_t) -> None:
+    def _allocate(self, room: int) -> None:
         """Make all arrays anew."""
         self.x = doubles(room)
         self.y = doubles(room)
@@ -185,19 +169,16 @@ class PlacedPoints:
         self.in_touch_zone = indices(room)
         self.near_index = indices(room)
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def place(self, chunk: Chunk, first: cython.Py_ssize_t, rows: ConstraintRows) -> cython.int:
+    def place(self, chunk: Chunk, first: int, rows: ConstraintRows) -> None:
         """Copy the points of a chunk to the arrays here, from index `first` on.
 
         The caller has written one row for each point, from row `rows.count` on, and counts these
         rows after this call. Point and row refer to each other: the row becomes the `first_row` of
         the point, and the point the `source` of the row.
         """
-        j: cython.Py_ssize_t
-        count: cython.Py_ssize_t = chunk.count
-        end: cython.Py_ssize_t = first + count
-        row: cython.Py_ssize_t = rows.count
+        count = chunk.count
+        end = first + count
+        row = rows.count
         chunk_x = chunk.x
         chunk_y = chunk.y
         free = chunk.free
@@ -240,12 +221,7 @@ class PlacedPoints:
             source[row + j] = first + j
 
 
-@cython.cfunc
-@cython.inline
-@cython.exceptval(check=False)
-def _is_near_corners(
-    gap: cython.double, free: cython.double, age: cython.double, others: cython.double
-) -> cython.bint:
+def _is_near_corners(gap: float, free: float, age: float, others: float) -> bool:
     """True if a point is so near that the corners of the outline need constraints of their own.
 
     A point is near if its gap may be at most twice the free distance at the next decision. For a
@@ -258,17 +234,9 @@ def _is_near_corners(
     return gap <= 2.0 * free + others * (age + DECISION_PERIOD)
 
 
-@cython.cfunc
-@cython.inline
-@cython.exceptval(-1.0, check=True)
 def _wall_cap(
-    chunk: Chunk,
-    j: cython.Py_ssize_t,
-    linear: cython.double,
-    lever: cython.double,
-    gap: cython.double,
-    assumptions: Assumptions,
-) -> cython.double:
+    chunk: Chunk, j: int, linear: float, lever: float, gap: float, assumptions: Assumptions
+) -> float:
     """The cap in m/s of one place of the outline towards point `j` of a wall that stands.
 
     `linear`, `lever`: as of `Constraints._add`. `gap`: m from the place to the point.
@@ -279,15 +247,12 @@ def _wall_cap(
     return wall_cap(gap - chunk.free[j], braking, chunk.age[j], chunk.others[j])
 
 
-@cython.cfunc
-@cython.exceptval(-1)
-def _set_wall_caps(chunk: Chunk, axes: SpeedAxes, assumptions: Assumptions) -> cython.int:
+def _set_wall_caps(chunk: Chunk, axes: SpeedAxes, assumptions: Assumptions) -> None:
     """Replace the caps of points of walls that stand by `wall_cap`.
 
     A wall that stands is straight, so no part of the wall extends unseen into the blind zone: its
     hidden gap becomes 0.
     """
-    j: cython.Py_ssize_t
     for j in range(chunk.count):
         if chunk.kind[j] != OTHER:
             linear = chunk.normal_x[j] * axes.along_x + chunk.normal_y[j] * axes.along_y
@@ -295,17 +260,15 @@ def _set_wall_caps(chunk: Chunk, axes: SpeedAxes, assumptions: Assumptions) -> c
             chunk.hidden[j] = 0.0
 
 
-@cython.cfunc
-@cython.exceptval(-1)
 def _set_corner_wall_caps(
     chunk: Chunk,
     axes: SpeedAxes,
     assumptions: Assumptions,
-    corner_x: cython.double,
-    corner_y: cython.double,
-    begin: cython.Py_ssize_t,
-    end: cython.Py_ssize_t,
-) -> cython.int:
+    corner_x: float,
+    corner_y: float,
+    begin: int,
+    end: int,
+) -> None:
     """Replace caps of one corner, as `_set_wall_caps` does for the nearest place of the outline.
 
     The loop is not part of the loop of `_add_corners`, which would compute two caps for each point.
@@ -313,7 +276,6 @@ def _set_corner_wall_caps(
     `corner_x`, `corner_y`: m, the corner. `begin`, `end`: the points of the chunk from `begin` to
     before `end`, whose distance from the corner is in `row_gap`.
     """
-    j: cython.Py_ssize_t
     for j in range(begin, end):
         if chunk.kind[j] != OTHER:
             distance = chunk.row_gap[j]
@@ -324,7 +286,6 @@ def _set_corner_wall_caps(
             chunk.row_cap[j] = _wall_cap(chunk, j, linear, lever, distance, assumptions)
 
 
-@cython.final
 @cython.cclass
 class ToldPlaces:
     """Circles in the predicted base frame in which an unseen obstacle may be, its parts included.
@@ -332,10 +293,10 @@ class ToldPlaces:
     A return in such a circle has the full `unseen_extent`, also if it is of the kind BARE_WALL.
     """
 
-    count: cython.Py_ssize_t
-    x: cython.double[::1]  # m
-    y: cython.double[::1]
-    reach: cython.double[::1]  # m
+    count: int
+    x: Doubles  # m
+    y: Doubles
+    reach: Doubles  # m
 
     def __init__(self) -> None:
         self._allocate(8)
@@ -345,44 +306,36 @@ class ToldPlaces:
         if not 0 <= self.count <= min(len(self.x), len(self.y), len(self.reach)):
             raise ValueError(f"{self.count} circles in {len(self.x)}")
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def begin(self, room: cython.Py_ssize_t) -> cython.int:
+    def begin(self, room: int) -> None:
         """Drop all circles, and make room for `room` circles."""
         self.count = 0
         if len(self.x) < room:
             self._allocate(room + room // 2)
 
-    def _allocate(self, room: cython.Py_ssize_t) -> None:
+    def _allocate(self, room: int) -> None:
         """Make all arrays anew."""
         self.x = doubles(room)
         self.y = doubles(room)
         self.reach = doubles(room)
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def add(self, x: cython.double, y: cython.double, reach: cython.double) -> cython.int:
+    def add(self, x: float, y: float, reach: float) -> None:
         """Add a circle; `begin` must have made room."""
         self.x[self.count] = x
         self.y[self.count] = y
         self.reach[self.count] = reach
         self.count += 1
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def hold(self, x: cython.double, y: cython.double) -> cython.int:
-        """1 if a place is in a circle. A place or circle of NaN counts as in."""
-        k: cython.Py_ssize_t
+    def hold(self, x: float, y: float) -> bool:
+        """True if a place is in a circle. A place or circle of NaN counts as in."""
         for k in range(self.count):
             dx = x - self.x[k]
             dy = y - self.y[k]
-            is_outside: cython.bint = sqrt(dx * dx + dy * dy) > self.reach[k]
+            is_outside = sqrt(dx * dx + dy * dy) > self.reach[k]
             if not is_outside:
-                return 1
-        return 0
+                return True
+        return False
 
 
-@cython.final
 @cython.cclass
 class Constraints:
     """The constraints of one decision, made of the placed points."""
@@ -413,45 +366,33 @@ class Constraints:
         if not (0 <= rows.count <= len(rows.x) and 0 <= rows.all <= len(rows.x)):
             raise ValueError(f"{rows.count} rows of {rows.all} in {len(rows.x)}")
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def begin(
-        self, near: NearObstacles, discs: cython.Py_ssize_t, furthest: cython.double
-    ) -> cython.int:
+    def begin(self, near: NearObstacles, discs: int, furthest: float) -> None:
         """Drop all constraints, and make room for the points and constraints of a decision.
 
         The points are those of `near` with a gap below `furthest` m, and `discs` discs.
         """
         points: Points = near.points
-        count: cython.Py_ssize_t = 0  # points before `end` that count; their gaps rise
-        end: cython.Py_ssize_t = points.count
+        count = 0  # points before `end` that count; their gaps rise
+        end = points.count
         while count < end:
-            middle: cython.Py_ssize_t = (count + end) // 2
+            middle = (count + end) // 2
             if points.gap[middle] >= furthest:
                 end = middle
             else:
                 count = middle + 1
-        contacts: cython.Py_ssize_t = min(near.contacts, count)
-        touch_rows: cython.Py_ssize_t = len(self.touch.corners) if self.touch.is_granted else 0
-        rows_of_a_point: cython.Py_ssize_t = ROWS_OF_A_POINT + self._outline.edges
+        contacts = min(near.contacts, count)
+        touch_rows = len(self.touch.corners) if self.touch.is_granted else 0
+        rows_of_a_point = ROWS_OF_A_POINT + self._outline.edges
         self.placed.reserve(count + discs)
         self.rows.reserve((count + discs) * rows_of_a_point + contacts + touch_rows + ENVELOPE_ROWS)
         self.rows.count = 0
         self.placed.seen = count
         self.placed.contacts = contacts
         self.placed.discs = discs
-        return 0
 
-    @cython.cfunc
-    @cython.exceptval(-1)
     def add_seen(
-        self,
-        near: NearObstacles,
-        frame: PlanarPose,
-        age: cython.double,
-        free: cython.double,
-        bare_free: cython.double,
-    ) -> cython.int:
+        self, near: NearObstacles, frame: PlanarPose, age: float, free: float, bare_free: float
+    ) -> None:
         """Place the first `placed.seen` returns of the scan, and add their constraints.
 
         A return too far away to constrain any command within the limits is left out. So the call
@@ -467,10 +408,9 @@ class Constraints:
         chunk: Chunk = self._chunk
         placed: PlacedPoints = self.placed
         assumptions: Assumptions = self._assumptions
-        count: cython.Py_ssize_t = placed.seen
-        taken: cython.Py_ssize_t = 0  # returns that were examined so far
-        placed_count: cython.Py_ssize_t = 0
-        in_chunk: cython.Py_ssize_t
+        count = placed.seen
+        taken = 0  # returns that were examined so far
+        placed_count = 0
         cos_yaw = cos(frame.yaw)
         sin_yaw = sin(frame.yaw)
         gaps = checked(near.points.gap, count)
@@ -486,7 +426,7 @@ class Constraints:
             in_chunk = 0
             while taken < count and in_chunk < CHUNK:
                 ray_age = age + ages[taken]
-                is_beyond: cython.bint = gaps[taken] >= assumptions.binding_range(ray_age)
+                is_beyond = gaps[taken] >= assumptions.binding_range(ray_age)
                 if not is_beyond:
                     x = xs[taken]
                     y = ys[taken]
@@ -494,7 +434,7 @@ class Constraints:
                     chunk.y[in_chunk] = frame.y + sin_yaw * x + cos_yaw * y
                     chunk.free[in_chunk] = free
                     chunk.age[in_chunk] = ray_age
-                    kind: cython.longlong = kinds[taken]
+                    kind = kinds[taken]
                     if kind == BARE_WALL:
                         if self.told.hold(chunk.x[in_chunk], chunk.y[in_chunk]):
                             kind = WALL
@@ -511,20 +451,16 @@ class Constraints:
             # constraints of corners: `_add_contacts` forbids all motion towards contacts.
             chunk.count = in_chunk
             self._add_chunk(placed_count, assumptions.blind_radius)
-            contacts_in_chunk: cython.Py_ssize_t = max(placed.contacts - placed_count, 0)
+            contacts_in_chunk = max(placed.contacts - placed_count, 0)
             if assumptions.unseen_extent > 0.0:
                 self._add_corners(placed_count, contacts_in_chunk)
             if assumptions.has_keep_out():
                 self._add_keep_out(placed_count)
             placed_count += chunk.count
         placed.seen = placed_count
-        return self._add_contacts(near.rays, cos_yaw, sin_yaw)
+        self._add_contacts(near.rays, cos_yaw, sin_yaw)
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _add_contacts(
-        self, rays: Points, cos_yaw: cython.double, sin_yaw: cython.double
-    ) -> cython.int:
+    def _add_contacts(self, rays: Points, cos_yaw: float, sin_yaw: float) -> None:
         """Forbid all motion towards contacts, and slow down motion along their rays.
 
         A contact is a return too close to measure, or a remembered obstacle in the blind zone. The
@@ -533,7 +469,6 @@ class Constraints:
         side for good, since the rays to a flank in contact span 47 to 105 degrees, so that motion
         ahead and motion back both close along one of them.
         """
-        i: cython.Py_ssize_t
         axes: SpeedAxes = self.axes
         placed: PlacedPoints = self.placed
         for i in range(placed.contacts):
@@ -542,19 +477,10 @@ class Constraints:
             ny = sin_yaw * rays.x[i] + cos_yaw * rays.y[i]
             lever = placed.x[i] * ny - placed.y[i] * nx
             self._add(nx * axes.along_x + ny * axes.along_y, lever, CREEP_SPEED, 0.0, i)
-        return 0
 
-    @cython.cfunc
-    @cython.exceptval(-1)
     def add_disc(
-        self,
-        point: cython.Py_ssize_t,
-        x: cython.double,
-        y: cython.double,
-        radius: cython.double,
-        age: cython.double,
-        moved: cython.double,
-    ) -> cython.int:
+        self, point: int, x: float, y: float, radius: float, age: float, moved: float
+    ) -> None:
         """Add the constraints of a disc in which an obstacle is.
 
         The gap to a disc is the gap to its centre less its radius. So the radius is added to the
@@ -579,11 +505,9 @@ class Constraints:
         chunk.kind[0] = OTHER
         chunk.others[0] = self._assumptions.others_speed
         self._add_chunk(point, 0.0)  # 0: no blind zone, since the lidar does not measure discs
-        return self._add_corners(point, 0)  # 0: from the first point of the chunk on
+        self._add_corners(point, 0)  # 0: from the first point of the chunk on
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _add_chunk(self, first: cython.Py_ssize_t, blind: cython.double) -> cython.int:
+    def _add_chunk(self, first: int, blind: float) -> None:
         """Copy the points of the chunk to `placed`, and add their constraints.
 
         The first constraint of each point limits the speed at which the nearest place of the
@@ -593,13 +517,12 @@ class Constraints:
         `first`: the index in `placed` of the chunk's first point. `blind`: m, the radius of the
         lidar's blind zone, in which a part of the obstacle may be hidden; 0: no part is hidden.
         """
-        j: cython.Py_ssize_t
         chunk: Chunk = self._chunk
         rows: ConstraintRows = self.rows
         axes: SpeedAxes = self.axes
         assumptions: Assumptions = self._assumptions
-        count: cython.Py_ssize_t = chunk.count
-        first_row: cython.Py_ssize_t = rows.count
+        count = chunk.count
+        first_row = rows.count
         nx = chunk.normal_x
         ny = chunk.normal_y
         lever = chunk.lever
@@ -642,18 +565,9 @@ class Constraints:
         rows.count = first_row + count
         # 4. Adds the constraints for obstacles beside the robot.
         self._add_approaching(first)
-        return self._add_sides(first)
+        self._add_sides(first)
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _add(
-        self,
-        linear: cython.double,
-        lever: cython.double,
-        cap: cython.double,
-        gap: cython.double,
-        source: cython.Py_ssize_t,
-    ) -> cython.int:
+    def _add(self, linear: float, lever: float, cap: float, gap: float, source: int) -> None:
         """Add the constraint of one place of the outline in one direction.
 
         Args:
@@ -666,9 +580,7 @@ class Constraints:
         axes: SpeedAxes = self.axes
         self.rows.add(linear * axes.limit, lever * axes.angular_limit, cap, gap, source)
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _add_sides(self, first: cython.Py_ssize_t) -> cython.int:
+    def _add_sides(self, first: int) -> None:
         """Add two side constraints for each point of the chunk whose cap is 0.
 
         A cap of 0 forbids the robot to close on the obstacle, but not to pass the obstacle
@@ -681,12 +593,9 @@ class Constraints:
         up to the last point with the cap 0: loops without branches are vectorised. `_add_side` then
         leaves out the points with other caps.
         """
-        j: cython.Py_ssize_t
-        k: cython.Py_ssize_t
-        side: cython.Py_ssize_t
         chunk: Chunk = self._chunk
         outline: Outline = self._outline
-        count: cython.Py_ssize_t = chunk.count
+        count = chunk.count
         nx = chunk.normal_x
         ny = chunk.normal_y
         cap = chunk.cap
@@ -716,11 +625,8 @@ class Constraints:
                     lever[j] = corner_lever if forward > previous_most else previous_lever
                     foremost[j] = forward if forward > previous_most else previous_most
             self._add_side(first, count)
-        return 0
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _add_side(self, first: cython.Py_ssize_t, count: cython.Py_ssize_t) -> cython.int:
+    def _add_side(self, first: int, count: int) -> None:
         """Add the side constraints of one side of the robot, for the points whose cap is 0.
 
         A side constraint limits the speed of the foremost corner in the side direction. Until the
@@ -733,7 +639,6 @@ class Constraints:
         `first` is the index in `placed` of the chunk's first point. `_add_sides` has stored the
         directions and the levers of the first `count` points of the chunk.
         """
-        j: cython.Py_ssize_t
         chunk: Chunk = self._chunk
         rows: ConstraintRows = self.rows
         axes: SpeedAxes = self.axes
@@ -743,7 +648,7 @@ class Constraints:
         lever = chunk.side_lever
         side_x = chunk.side_x
         side_y = chunk.side_y
-        row: cython.Py_ssize_t = rows.count
+        row = rows.count
         row_x = checked(rows.x, row + count)
         row_y = checked(rows.y, row + count)
         row_cap = checked(rows.cap, row + count)
@@ -763,9 +668,7 @@ class Constraints:
                 row += 1
         rows.count = row
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _add_approaching(self, first: cython.Py_ssize_t) -> cython.int:
+    def _add_approaching(self, first: int) -> None:
         """Limit the linear speed early, for obstacles that may approach from the side.
 
         The side constraints of an obstacle beside the robot (`_add_sides`) begin to hold once the
@@ -782,21 +685,20 @@ class Constraints:
         The angular speed is not limited here: braking a turn does not reduce the speed ahead, and
         the stop check (stopping.py) covers corners that swing outwards.
         """
-        j: cython.Py_ssize_t
         chunk: Chunk = self._chunk
         axes: SpeedAxes = self.axes
         touch: TouchSector = self.touch
         reserve = self._assumptions.side_reserve
         if reserve <= 0.0:
-            return 0  # this rule is a part of the reserve, which some platforms set to 0
+            return  # this rule is a part of the reserve, which some platforms set to 0
         others_speed = self._assumptions.others_speed
         slowing = self._assumptions.braking_linear
         # m that an obstacle moves while the robot brakes from its highest speed
         longest_approach = others_speed * axes.limit / slowing
         ahead_cap = axes.limit
         back_cap = axes.limit
-        ahead_point: cython.Py_ssize_t = -1
-        back_point: cython.Py_ssize_t = -1
+        ahead_point = -1
+        back_point = -1
         # 1. Finds the strictest limits below the limit of the platform. A point stays -1 without
         # such a limit.
         for j in range(chunk.count):
@@ -840,9 +742,7 @@ class Constraints:
             gap = chunk.gap[back_point] - chunk.radius[back_point]
             self._add(-1.0, 0.0, back_cap, gap, first + back_point)
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _add_corners(self, first: cython.Py_ssize_t, begin: cython.Py_ssize_t) -> cython.int:
+    def _add_corners(self, first: int, begin: int) -> None:
         """Add a constraint for each pair of a near point and a corner of the outline.
 
         An obstacle may extend beyond the part that the scan shows (`unseen_extent`). So a corner
@@ -852,13 +752,11 @@ class Constraints:
         `first`: the index in `placed` of the chunk's first point. `begin`: the index in the chunk
         of the first point to which constraints are added.
         """
-        j: cython.Py_ssize_t
-        k: cython.Py_ssize_t
         chunk: Chunk = self._chunk
         outline: Outline = self._outline
         axes: SpeedAxes = self.axes
         assumptions: Assumptions = self._assumptions
-        end: cython.Py_ssize_t = chunk.count
+        end = chunk.count
         x = chunk.x
         y = chunk.y
         gap = chunk.gap
@@ -900,19 +798,13 @@ class Constraints:
             if assumptions.has_kinds:
                 _set_corner_wall_caps(chunk, axes, assumptions, corner_x, corner_y, begin, end)
             self._add_corner(first, begin, end)
-        return 0
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _add_corner(
-        self, first: cython.Py_ssize_t, begin: cython.Py_ssize_t, end: cython.Py_ssize_t
-    ) -> cython.int:
+    def _add_corner(self, first: int, begin: int, end: int) -> None:
         """Add the constraints of one corner of the outline, which `_add_corners` has computed.
 
         The points are those of the chunk from `begin` to before `end`. `first` is the index in
         `placed` of the chunk's first point. Points that are not near get no constraint.
         """
-        j: cython.Py_ssize_t
         chunk: Chunk = self._chunk
         rows: ConstraintRows = self.rows
         others = chunk.others
@@ -924,8 +816,8 @@ class Constraints:
         new_cap = chunk.row_cap
         new_gap = chunk.row_gap
         radius = chunk.radius
-        row: cython.Py_ssize_t = rows.count
-        room: cython.Py_ssize_t = row + end - begin
+        row = rows.count
+        room = row + end - begin
         row_x = checked(rows.x, room)
         row_y = checked(rows.y, room)
         row_cap = checked(rows.cap, room)
@@ -945,16 +837,13 @@ class Constraints:
                 row += 1
         rows.count = row
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _add_keep_out(self, first: cython.Py_ssize_t) -> cython.int:
+    def _add_keep_out(self, first: int) -> None:
         """Add a constraint for each point of the chunk that keeps a circle around the lidar free.
 
         The circle of `keep_out` m covers the blind zone of the lidar. Two robots that both use this
         constraint each use at most half of the distance to the circle. `first` is the index in
         `placed` of the chunk's first point.
         """
-        j: cython.Py_ssize_t
         chunk: Chunk = self._chunk
         axes: SpeedAxes = self.axes
         assumptions: Assumptions = self._assumptions
@@ -974,9 +863,7 @@ class Constraints:
             cap = reciprocal_cap(distance - assumptions.keep_out, braking, chunk.age[j])
             self._add(linear, lever, cap, chunk.gap[j] - chunk.radius[j], first + j)
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def allow_touch(self) -> cython.int:
+    def allow_touch(self) -> None:
         """Raise the caps in a granted touch zone to its speed, and limit all motion in the zone.
 
         A touch zone is a range of directions in which the pattern may touch obstacles. A point is
@@ -985,7 +872,6 @@ class Constraints:
         move faster than the zone's speed in the directions of the zone, also without a return
         there, since the lidar may not see a pushed object.
         """
-        i: cython.Py_ssize_t
         rows: ConstraintRows = self.rows
         axes: SpeedAxes = self.axes
         placed: PlacedPoints = self.placed

@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from swarmd.core import cython_shadow as cython
-from swarmd.core.cython_shadow import INFINITY, copysign, cos, fabs, sin
+from swarmd.core.cython_shadow import INFINITY, Doubles, copysign, cos, fabs, sin
 from swarmd.core.odometry_trail import (
     ANEW,
     LONGEST_EXTRAPOLATION,
@@ -25,30 +25,24 @@ from swarmd.robot.protection.comparisons import maximum
 if TYPE_CHECKING:
     from swarmd.core.values import Odometry
 
-_AGE_TOLERANCE = cython.declare(cython.double, 1e-6)  # s, for the rounding of ages
+_AGE_TOLERANCE = 1e-6  # s, for the rounding of ages
 
 
-@cython.final
 @cython.cclass
 class PlanarPose:
     """A pose in m and rad."""
 
-    x: cython.double
-    y: cython.double
-    yaw: cython.double
+    x: float
+    y: float
+    yaw: float
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def set(self, x: cython.double, y: cython.double, yaw: cython.double) -> cython.int:
+    def set(self, x: float, y: float, yaw: float) -> None:
         """Take another value."""
         self.x = x
         self.y = y
         self.yaw = yaw
-        return 0
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def set_relative(self, pose: PlanarPose, base: PlanarPose) -> cython.int:
+    def set_relative(self, pose: PlanarPose, base: PlanarPose) -> None:
         """Set this pose to `pose` in the frame of `base`; the yaw is the plain difference."""
         dx = pose.x - base.x
         dy = pose.y - base.y
@@ -59,11 +53,7 @@ class PlanarPose:
         self.yaw = pose.yaw - base.yaw
 
 
-@cython.cfunc
-@cython.exceptval(check=False)
-def _mean_speed(
-    now: cython.double, wanted: cython.double, rate: cython.double, seconds: cython.double
-) -> cython.double:
+def _mean_speed(now: float, wanted: float, rate: float, seconds: float) -> float:
     """The mean speed over `seconds` on a ramp of `rate` from `now` to `wanted`."""
     change = wanted - now
     ramp = fabs(change) / rate
@@ -72,14 +62,13 @@ def _mean_speed(
     return now + change * (1.0 - 0.5 * ramp / seconds)
 
 
-@cython.final
 @cython.cclass
 class DeadReckoning:
     """The poses of a robot from its last readings of odometry."""
 
     odometry: Odometry | None  # the last reading that was given
-    version: cython.Py_ssize_t  # rises with each reading
-    resets: cython.Py_ssize_t  # how often the clock went back or the pose jumped
+    version: int  # rises with each reading
+    resets: int  # how often the clock went back or the pose jumped
     _assumptions: Assumptions
     _trail: OdometryTrail
 
@@ -87,20 +76,15 @@ class DeadReckoning:
         self._assumptions = assumptions
         self._trail = OdometryTrail()
 
-    @cython.cfunc
     def record(self, odometry: Odometry) -> None:
         """Store a reading of odometry; `resets` rises if it begins the trail anew."""
         self.odometry = odometry
-        taken: cython.int = self._trail.take(odometry)
+        taken = self._trail.take(odometry)
         if taken >= NEXT:
             self.version += 1
             self.resets += taken == ANEW
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def find_pose(
-        self, odometry_age: cython.double, seconds_before: cython.double, into: PlanarPose
-    ) -> cython.int:
+    def find_pose(self, odometry_age: float, seconds_before: float, into: PlanarPose) -> None:
         """Set `into` to the pose `seconds_before` s before a decision.
 
         `odometry_age` in s is the age of the newest reading at the decision. Without a reading the
@@ -108,20 +92,14 @@ class DeadReckoning:
         """
         trail: OdometryTrail = self._trail
         if trail.count == 0:
-            return into.set(0.0, 0.0, 0.0)
+            into.set(0.0, 0.0, 0.0)
+            return
         trail.set_pose(trail.latest + odometry_age - seconds_before)
-        return into.set(trail.x, trail.y, trail.yaw)
+        into.set(trail.x, trail.y, trail.yaw)
 
-    @cython.cfunc
-    @cython.exceptval(-1)
     def predict_pose(
-        self,
-        odometry_age: cython.double,
-        linear: cython.double,
-        angular: cython.double,
-        lateral: cython.double,
-        into: PlanarPose,
-    ) -> cython.int:
+        self, odometry_age: float, linear: float, angular: float, lateral: float, into: PlanarPose
+    ) -> None:
         """Set `into` to the pose at which the next command takes effect.
 
         The prediction begins at the newest reading, `odometry_age` s old at the decision, and ends
@@ -131,8 +109,9 @@ class DeadReckoning:
         """
         trail: OdometryTrail = self._trail
         if trail.count == 0:
-            return into.set(0.0, 0.0, 0.0)
-        newest: cython.Py_ssize_t = trail.place(0)
+            into.set(0.0, 0.0, 0.0)
+            return
+        newest = trail.place(0)
         readings = trail.readings
         linear_braking = self._assumptions.braking_linear
         angular_braking = self._assumptions.braking_angular
@@ -147,10 +126,9 @@ class DeadReckoning:
             _mean_speed(readings[newest + R_LATERAL], lateral, linear_braking, seconds),
             seconds,
         )
-        return into.set(trail.x, trail.y, trail.yaw)
+        into.set(trail.x, trail.y, trail.yaw)
 
 
-@cython.final
 @cython.cclass
 class CommandRange:
     """The range of the commands along one direction, in m/s; the range includes 0.
@@ -159,21 +137,17 @@ class CommandRange:
     commands between these scans, and the commands between the two scans before.
     """
 
-    _least: cython.double
-    _most: cython.double
-    _least_before: cython.double
-    _most_before: cython.double
+    _least: float
+    _most: float
+    _least_before: float
+    _most_before: float
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def note(self, speed: cython.double) -> cython.int:
+    def note(self, speed: float) -> None:
         """Note the command in force since the last decision."""
         self._least = min(self._least, speed)
         self._most = maximum(self._most, speed)
 
-    @cython.cfunc
-    @cython.exceptval(check=False)
-    def explained(self, moved: cython.double, seconds: cython.double) -> cython.double:
+    def explained(self, moved: float, seconds: float) -> float:
         """The part in m of a motion between two scans that the commands explain.
 
         `moved` in m is the motion by odometry, `seconds` the time between the scans. The motion is
@@ -193,21 +167,20 @@ class CommandRange:
         return moved if moved <= most_way else most_way
 
 
-@cython.final
 @cython.cclass
 class ScanMotion:
     """When and where the last scan was taken, and the motion between the last two scans."""
 
     pose: PlanarPose  # of the last scan, by odometry
-    measured_at: cython.double  # s, time of the newest ray of the scan; -inf before the first scan
-    first_use_delay: cython.double  # s from the arrival of the scan to its first use
-    oldest: cython.double  # s, the age of the oldest ray against the newest
-    extra_age: cython.double  # s by which the oldest ray is older than the platform's latency says
-    resets: cython.Py_ssize_t  # of odometry before the scan
+    measured_at: float  # s, time of the newest ray of the scan; -inf before the first scan
+    first_use_delay: float  # s from the arrival of the scan to its first use
+    oldest: float  # s, the age of the oldest ray against the newest
+    extra_age: float  # s by which the oldest ray is older than the platform's latency says
+    resets: int  # of odometry before the scan
     moved: PlanarPose  # since the scan before, in the frame of that scan
     ahead: CommandRange
     left: CommandRange
-    seconds: cython.double  # between the last two scans
+    seconds: float  # between the last two scans
     _now: PlanarPose
     _assumptions: Assumptions
     _reckoning: DeadReckoning
@@ -222,16 +195,15 @@ class ScanMotion:
         self.left = CommandRange()
         self.measured_at = -INFINITY
 
-    @cython.cfunc
     def begin(
         self,
-        now: cython.double,
-        age: cython.double,
-        newest_age: cython.double,
-        delay: cython.double,
-        odometry_age: cython.double,
-        ages: cython.const_double[::1],
-    ) -> cython.bint:
+        now: float,
+        age: float,
+        newest_age: float,
+        delay: float,
+        odometry_age: float,
+        ages: Doubles,
+    ) -> bool:
         """Store time and pose of a scan, and the motion since the scan before.
 
         False, and nothing changes, if the newest ray of the scan is not newer than the newest ray
@@ -246,7 +218,6 @@ class ScanMotion:
             odometry_age: s, how old the newest odometry is at `now`.
             ages: (n,) s, by how much each ray is older than the newest ray; empty: all are 0.
         """
-        i: cython.Py_ssize_t
         oldest_age = 0.0
 
         # 1. When the scan was measured.
@@ -280,7 +251,6 @@ class ScanMotion:
         self.resets = reckoning.resets
         return True
 
-    @cython.cfunc
     def driven(self) -> Pose:
         """The part of the motion between the last two scans that the robot's commands explain.
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from swarmd.core import cython_shadow as cython
 from swarmd.core.buffers import checked, checked_indices, doubles, view
-from swarmd.core.cython_shadow import hypot
+from swarmd.core.cython_shadow import Doubles, Table, hypot
 from swarmd.core.values import Array
 from swarmd.robot.protection.barrier_assumptions import Assumptions
 from swarmd.robot.protection.closing_speed import CREEP_SPEED, DECISION_PERIOD
@@ -25,21 +25,21 @@ from swarmd.robot.protection.obstacles import NearObstacles
 from swarmd.robot.protection.outline import Outline
 from swarmd.robot.protection.projection import is_feasible
 
-SURFACE_GAP = cython.declare(cython.double, 0.0125)
+SURFACE_GAP = 0.0125
 """m that a locked robot keeps to what it closes on, as the scan shows it."""
-SURFACE_TIME = cython.declare(cython.double, 0.5)
+SURFACE_TIME = 0.5
 """s in which a locked robot may use up the rest of the gap to what it closes on."""
-LOCKED_SHARE = cython.declare(cython.double, 0.5)
+LOCKED_SHARE = 0.5
 """The share of the creep speed with which a robot counts as locked: it may move no faster."""
-PART_SPEED = cython.declare(cython.double, 0.004)
+PART_SPEED = 0.004
 """m/s at which the nearest place of a robot that nothing else frees may close on a narrow obstacle.
 
 A flank of a Burger that moves at the creep speed along a pole of 0.3 m closes on the returns beyond
 its ends at 1.3 to 2.5 mm/s. The rest is a reserve for noise, which turns a normal by some degrees.
 """
 
-_LOCKED_STEP = cython.declare(cython.Py_ssize_t, 4)  # vertices from one tried direction to the next
-_SLOWEST = cython.declare(cython.double, 1e-12)  # m/s of a corner, by which a speed is divided
+_LOCKED_STEP = 4  # vertices from one tried direction to the next
+_SLOWEST = 1e-12  # m/s of a corner, by which a speed is divided
 
 
 def _box_directions() -> Array:
@@ -53,7 +53,6 @@ _BOX_DIRECTIONS = view(_box_directions())
 """(48, 2) directions of the envelope, on the box of the limits, whose corners are among them."""
 
 
-@cython.final
 @cython.cclass
 class Envelope:
     """The constraints within which no corner of the robot moves faster than `speed`.
@@ -64,16 +63,16 @@ class Envelope:
     the vertices of the polygon lie on the border of the set.
     """
 
-    speed: cython.double  # m/s
-    vertex_x: cython.double[::1]
-    vertex_y: cython.double[::1]
-    row_x: cython.double[::1]
-    row_y: cython.double[::1]
-    row_cap: cython.double[::1]
+    speed: float  # m/s
+    vertex_x: Doubles
+    vertex_y: Doubles
+    row_x: Doubles
+    row_y: Doubles
+    row_cap: Doubles
     _outline: Outline
     # The direction of the linear speed for which `find_rows` was called; (0, 0): none yet.
-    _along_x: cython.double
-    _along_y: cython.double
+    _along_x: float
+    _along_y: float
 
     def __init__(self, outline: Outline, speed: float) -> None:
         self._outline = outline
@@ -90,13 +89,10 @@ class Envelope:
         if min(lengths) < ENVELOPE_ROWS:
             raise ValueError(f"arrays of {lengths} for {ENVELOPE_ROWS} rows")
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def put(self, rows: ConstraintRows, axes: SpeedAxes) -> cython.int:
+    def put(self, rows: ConstraintRows, axes: SpeedAxes) -> None:
         """Put the constraints of the envelope behind all others in `rows`."""
-        i: cython.Py_ssize_t
         self.prepare(axes)
-        first: cython.Py_ssize_t = rows.count
+        first = rows.count
         rows.all = first + ENVELOPE_ROWS
         to_x = checked(rows.x, rows.all)
         to_y = checked(rows.y, rows.all)
@@ -109,18 +105,14 @@ class Envelope:
             to_y[first + i] = y[i]
             to_cap[first + i] = cap[i]
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def prepare(self, axes: SpeedAxes) -> cython.int:
+    def prepare(self, axes: SpeedAxes) -> None:
         """Find the vertices and the constraints, unless they are known for these axes."""
         if not (self._along_x == axes.along_x and self._along_y == axes.along_y):
             self.find_rows(axes)
             self._along_x = axes.along_x
             self._along_y = axes.along_y
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def find_rows(self, axes: SpeedAxes) -> cython.int:
+    def find_rows(self, axes: SpeedAxes) -> None:
         """Find the vertices and the constraints for a direction of the linear speed.
 
         `axes` has the direction and the limits of the speeds. A vertex is the longest vector in a
@@ -128,9 +120,7 @@ class Envelope:
         no corner of the outline moves faster than `speed`. A constraint is the line through two
         neighbouring vertices.
         """
-        i: cython.Py_ssize_t
-        following: cython.Py_ssize_t
-        directions: cython.double[:, ::1] = _BOX_DIRECTIONS
+        directions: Table = _BOX_DIRECTIONS
 
         # 1. Vertices: each direction is a place on the border of the box of the limits. If a corner
         # is faster than `speed` there, the place moves inwards until no corner is faster.
@@ -156,13 +146,8 @@ class Envelope:
             self.row_y[i] = normal_y
             self.row_cap[i] = normal_x * self.vertex_x[i] + normal_y * self.vertex_y[i]
 
-    @cython.cfunc
-    @cython.exceptval(-1.0, check=True)
-    def fastest_corner(
-        self, linear: cython.double, angular: cython.double, axes: SpeedAxes
-    ) -> cython.double:
+    def fastest_corner(self, linear: float, angular: float, axes: SpeedAxes) -> float:
         """The m/s of the fastest corner of a base that moves at these speeds in m/s and rad/s."""
-        k: cython.Py_ssize_t
         outline: Outline = self._outline
         fastest = 0.0
         for k in range(outline.edges):
@@ -172,7 +157,6 @@ class Envelope:
         return fastest
 
 
-@cython.final
 @cython.cclass
 class Creeping:
     """Raises the caps, so that a robot may creep towards an obstacle that stops a faster robot.
@@ -184,11 +168,11 @@ class Creeping:
     robot that is both gets the higher of the two caps.
     """
 
-    is_possible: cython.bint  # in the present situation
-    is_touching: cython.bint  # an obstacle may touch the robot: it keeps the slow envelope
-    cap: cython.double  # m/s, set by `allow`
-    is_active: cython.bint
-    _kept_cap: cython.double[::1]  # the caps of all constraints before they were raised
+    is_possible: bool  # in the present situation
+    is_touching: bool  # an obstacle may touch the robot: it keeps the slow envelope
+    cap: float  # m/s, set by `allow`
+    is_active: bool
+    _kept_cap: Doubles  # the caps of all constraints before they were raised
     # The envelope while the robot creeps or touches, and the usual envelope near obstacles.
     slow: Envelope
     usual: Envelope
@@ -204,56 +188,42 @@ class Creeping:
         An index that an array states is bounded where it is read, or is the index of a view.
         """
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def allow(self, placed: PlacedPoints) -> cython.int:
+    def allow(self, placed: PlacedPoints) -> None:
         """Set `cap`: the speed in m/s at which a robot that creeps may close on any obstacle.
 
         The cap is CREEP_SPEED, or less near an obstacle: until the next decision, the robot may use
         half of the gap beyond contact, since the obstacle may use the other half. The cap is 0 or
         less within contact. `placed`: the points of the decision.
         """
-        i: cython.Py_ssize_t
         self.cap = CREEP_SPEED
         for i in range(placed.seen):
             allowed = 0.5 * (placed.gap[i] - placed.contact[i])
             allowed /= placed.age[i] + DECISION_PERIOD
             self.cap = min(self.cap, allowed)
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def begin(self, rows: ConstraintRows, axes: SpeedAxes) -> cython.int:
+    def begin(self, rows: ConstraintRows, axes: SpeedAxes) -> None:
         """Use the caps and the envelope of a robot that creeps by a slow request."""
-        i: cython.Py_ssize_t
         self._keep(rows)
         for i in range(rows.count):
             rows.cap[i] = maximum(rows.cap[i], self.cap)
         self.is_active = True
         self.slow.put(rows, axes)
-        return 0
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def is_locked(self, constraints: Constraints) -> cython.int:
-        """1 if the robot may move in no direction, not even at LOCKED_SHARE of the creep speed.
+    def is_locked(self, constraints: Constraints) -> bool:
+        """True if the robot may move in no direction, not even at LOCKED_SHARE of the creep speed.
 
         The directions are those of the slow envelope: ahead, back, both turns, and between them.
         """
-        i: cython.Py_ssize_t
         rows: ConstraintRows = constraints.rows
         self.slow.prepare(constraints.axes)
         for i in range(0, ENVELOPE_ROWS, _LOCKED_STEP):
             x = LOCKED_SHARE * self.slow.vertex_x[i]
             y = LOCKED_SHARE * self.slow.vertex_y[i]
             if is_feasible(rows, x, y):
-                return 0
-        return 1
+                return False
+        return True
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def begin_out(
-        self, constraints: Constraints, near: NearObstacles, least: cython.double
-    ) -> cython.int:
+    def begin_out(self, constraints: Constraints, near: NearObstacles, least: float) -> None:
         """Use the caps and the envelope of a locked robot.
 
         The slow envelope bounds each place of the outline by CREEP_SPEED, whatever is requested.
@@ -283,38 +253,30 @@ class Creeping:
             self._raise_narrow(constraints, near)
         self.is_active = True
         self.slow.put(constraints.rows, constraints.axes)
-        return 0
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _raise(
-        self, constraints: Constraints, near: NearObstacles, least: cython.double
-    ) -> cython.int:
+    def _raise(self, constraints: Constraints, near: NearObstacles, least: float) -> None:
         """Raise the caps of points that are no contacts to those of a locked robot.
 
         A cap is the m/s at which a place of the robot may close on a point.
         """
-        i: cython.Py_ssize_t
-        point: cython.Py_ssize_t
-        cap: cython.double
         rows: ConstraintRows = constraints.rows
         placed: PlacedPoints = constraints.placed
-        source: cython.p_longlong = checked_indices(rows.source, rows.count)
-        place_gap: cython.p_double = checked(rows.gap, rows.count)
-        row_cap: cython.p_double = checked(rows.cap, rows.count)
-        near_index: cython.p_longlong = checked_indices(placed.near_index, placed.seen)
-        first_row: cython.p_longlong = checked_indices(placed.first_row, placed.seen)
-        gap: cython.p_double = checked(placed.gap, placed.seen)
-        scan_gap: cython.p_double = checked(placed.scan_gap, placed.seen)
-        contact: cython.p_double = checked(placed.contact, placed.seen)
-        age: cython.p_double = checked(placed.age, placed.seen)
+        source = checked_indices(rows.source, rows.count)
+        place_gap = checked(rows.gap, rows.count)
+        row_cap = checked(rows.cap, rows.count)
+        near_index = checked_indices(placed.near_index, placed.seen)
+        first_row = checked_indices(placed.first_row, placed.seen)
+        gap = checked(placed.gap, placed.seen)
+        scan_gap = checked(placed.scan_gap, placed.seen)
+        contact = checked(placed.contact, placed.seen)
+        age = checked(placed.age, placed.seen)
         for i in range(rows.count):
             point = source[i]
             if not placed.contacts <= point < placed.seen:
                 continue
-            surface: cython.double = near.surface_gap[near_index[point]]
+            surface = near.surface_gap[near_index[point]]
             if surface == surface:
-                kept: cython.double = place_gap[i] + (surface - scan_gap[point])  # less noise
+                kept = place_gap[i] + (surface - scan_gap[point])  # less noise
                 cap = (kept - SURFACE_GAP) / SURFACE_TIME
             elif not gap[point] <= contact[point]:
                 cap = 0.5 * (place_gap[i] - contact[point]) / (age[point] + DECISION_PERIOD)
@@ -325,26 +287,20 @@ class Creeping:
             cap = maximum(min(cap, CREEP_SPEED), least)
             row_cap[i] = maximum(row_cap[i], cap)
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _raise_narrow(self, constraints: Constraints, near: NearObstacles) -> cython.int:
+    def _raise_narrow(self, constraints: Constraints, near: NearObstacles) -> None:
         """Raise the caps of the nearest places towards narrow obstacles that may touch unseen."""
-        point: cython.Py_ssize_t
         rows: ConstraintRows = constraints.rows
         placed: PlacedPoints = constraints.placed
         for point in range(placed.contacts, placed.seen):
             surface = near.surface_gap[placed.near_index[point]]
             if surface == surface or not placed.gap[point] <= placed.contact[point]:
                 continue
-            row: cython.Py_ssize_t = placed.first_row[point]
+            row = placed.first_row[point]
             cap = min((rows.gap[row] - SURFACE_GAP) / SURFACE_TIME, PART_SPEED)
             rows.cap[row] = maximum(rows.cap[row], cap)
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _keep(self, rows: ConstraintRows) -> cython.int:
+    def _keep(self, rows: ConstraintRows) -> None:
         """Store the caps, which `end` gives back."""
-        i: cython.Py_ssize_t
         if len(self._kept_cap) < rows.count:
             self._kept_cap = doubles(len(rows.cap))
         kept = checked(self._kept_cap, rows.count)
@@ -352,11 +308,8 @@ class Creeping:
         for i in range(rows.count):
             kept[i] = cap[i]
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def end(self, rows: ConstraintRows, axes: SpeedAxes) -> cython.int:
+    def end(self, rows: ConstraintRows, axes: SpeedAxes) -> None:
         """Use the caps and the envelope of a robot that does not creep, as before `begin`."""
-        i: cython.Py_ssize_t
         for i in range(rows.count):
             rows.cap[i] = self._kept_cap[i]
         self.is_active = False

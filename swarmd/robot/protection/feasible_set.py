@@ -43,10 +43,9 @@ if TYPE_CHECKING:
     from swarmd.core.values import TouchZone, Twist
     from swarmd.robot.protection.decision import DecisionContext
 
-_NO_ODOMETRY = cython.declare(cython.Py_ssize_t, -1)
+_NO_ODOMETRY = -1
 
 
-@cython.final
 @cython.cclass
 class Situation:
     """The inputs of a decision that determine the constraints.
@@ -55,26 +54,24 @@ class Situation:
     set `is_known` to False for a new scan, touch zone or set of discs.
     """
 
-    is_known: cython.bint  # the constraints were built for the inputs below
-    now: cython.double
-    scan_age: cython.double  # s; NaN without a scan
-    odometry_age: cython.double  # s; NaN without odometry
-    version: cython.Py_ssize_t  # of odometry
-    along_x: cython.double  # the direction of the linear speed
-    along_y: cython.double
+    is_known: bool  # the constraints were built for the inputs below
+    now: float
+    scan_age: float  # s; NaN without a scan
+    odometry_age: float  # s; NaN without odometry
+    version: int  # of odometry
+    along_x: float  # the direction of the linear speed
+    along_y: float
 
-    @cython.cfunc
-    @cython.exceptval(-1)
     def keep(
         self,
-        now: cython.double,
-        scan_age: cython.double,
-        odometry_age: cython.double,
-        version: cython.Py_ssize_t,
-        along_x: cython.double,
-        along_y: cython.double,
-    ) -> cython.int:
-        """1 if the arguments equal the stored inputs; else store the arguments, and return 0.
+        now: float,
+        scan_age: float,
+        odometry_age: float,
+        version: int,
+        along_x: float,
+        along_y: float,
+    ) -> bool:
+        """True if the arguments equal the stored inputs; else store the arguments, and return 0.
 
         With 0 the constraints of the last decision do not hold any more, and `is_known` becomes
         False. `now`: s. `scan_age`, `odometry_age`: s, NaN without a scan or odometry. `version`:
@@ -90,7 +87,7 @@ class Situation:
             and self.along_x == along_x
             and self.along_y == along_y
         ):
-            return 1
+            return True
         self.is_known = False
         self.now = now
         self.scan_age = scan_age
@@ -98,10 +95,9 @@ class Situation:
         self.version = version
         self.along_x = along_x
         self.along_y = along_y
-        return 0
+        return False
 
 
-@cython.final
 @cython.cclass
 class FeasibleSet:
     """The constraints of one robot in its present situation, and what they are made of."""
@@ -137,19 +133,15 @@ class FeasibleSet:
         self._frame = PlanarPose()
         self._disc_pose = PlanarPose()
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def is_unbounded(self) -> cython.int:
-        """1 if no obstacle and no touch zone constrains the robot."""
+    def is_unbounded(self) -> bool:
+        """True if no obstacle and no touch zone constrains the robot."""
         return not (
             self.touch.is_granted or self.near.is_near or self.near.points.count or self.discs.count
         )
 
-    @cython.cfunc
-    @cython.exceptval(-1)
     def take_context(
         self, context: DecisionContext, command: Twist, touch: TouchZone | None
-    ) -> cython.int:
+    ) -> None:
         """Take the inputs of a decision: odometry, discs, the touch zone, the command in force."""
         odometry = context.odometry
         if odometry is not None and odometry is not self.reckoning.odometry:
@@ -166,23 +158,14 @@ class FeasibleSet:
         self.motion.ahead.note(command.linear)
         self.motion.left.note(command.lateral)
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def has_scan_pose(self) -> cython.int:
-        """1 if the pose of the last scan is valid: odometry had no reset since."""
+    def has_scan_pose(self) -> bool:
+        """True if the pose of the last scan is valid: odometry had no reset since."""
         return self.motion.resets == self.reckoning.resets
 
-    @cython.cfunc
-    @cython.exceptval(-1)
     def enter(
-        self,
-        context: DecisionContext,
-        command: Twist,
-        along_x: cython.double,
-        along_y: cython.double,
-        limit: cython.double,
-    ) -> cython.int:
-        """1 if the constraints of the last decision still hold; else 0, and build them anew.
+        self, context: DecisionContext, command: Twist, along_x: float, along_y: float, limit: float
+    ) -> bool:
+        """True if the constraints of the last decision still hold; else 0, and build them anew.
 
         `command` and `limit` go into the constraints, but `Situation.keep` need not compare them:
 
@@ -198,7 +181,7 @@ class FeasibleSet:
         """
         scan_age = context.scan_age
         odometry_age = context.odometry_age
-        is_known: cython.bint = self.situation.keep(
+        is_known = self.situation.keep(
             context.now,
             NAN if scan_age is None else scan_age,
             NAN if odometry_age is None else odometry_age,
@@ -207,20 +190,16 @@ class FeasibleSet:
             along_y,
         )
         if is_known:
-            return 1
+            return True
         axes: SpeedAxes = self.constraints.axes
         axes.along_x = along_x
         axes.along_y = along_y
         axes.limit = limit
         self._build(command.linear, command.angular, command.lateral)
         self.situation.is_known = True
-        return 0
+        return False
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _build(
-        self, linear: cython.double, angular: cython.double, lateral: cython.double
-    ) -> cython.int:
+    def _build(self, linear: float, angular: float, lateral: float) -> None:
         """Build all constraints of the situation: linear bounds on the speeds of the next command.
 
         `linear`, `angular` and `lateral` are the command in force, in m/s and rad/s.
@@ -233,7 +212,7 @@ class FeasibleSet:
         # 1. Predicts the pose at which the command takes effect, and the pose of the scan in the
         # predicted base frame. Without odometry (an age of NaN) both are 0.
         odometry_age = self.situation.odometry_age
-        has_odometry: cython.bint = odometry_age == odometry_age
+        has_odometry = odometry_age == odometry_age
         if not has_odometry:
             odometry_age = 0.0
         self.reckoning.predict_pose(odometry_age, linear, angular, lateral, self._predicted)
@@ -274,17 +253,12 @@ class FeasibleSet:
         self.creeping.is_active = False
         self.creeping.is_possible = assumptions.may_creep and near.is_near and has_only_returns
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _place_told(
-        self, odometry_age: cython.double, not_extrapolated: cython.double
-    ) -> cython.int:
+    def _place_told(self, odometry_age: float, not_extrapolated: float) -> None:
         """Set the circles of `constraints.told`: within `unseen_extent` m of each disc.
 
         All discs count, not only those that can constrain the robot themselves. The obstacle of a
         disc may have moved since its measurement. The arguments are those of `_add_discs`.
         """
-        k: cython.Py_ssize_t
         assumptions: Assumptions = self.assumptions
         told: ToldPlaces = self.constraints.told
         table = self.discs.table
@@ -303,11 +277,7 @@ class FeasibleSet:
             reach += assumptions.others_speed * (age + REACTION)
             told.add(pose.x + x, pose.y + y, reach)
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _add_discs(
-        self, odometry_age: cython.double, not_extrapolated: cython.double
-    ) -> cython.int:
+    def _add_discs(self, odometry_age: float, not_extrapolated: float) -> None:
         """Add the constraints of discs: of places that peers shared, and of near single ranges.
 
         Somewhere in each disc is an obstacle (`ToldObstacle`). A disc has its centre in the base
@@ -317,15 +287,14 @@ class FeasibleSet:
         `odometry_age`: s, of the newest reading. `not_extrapolated`: s of this age beyond the
         longest extrapolation. The prediction lacks the motion of the outline in that time.
         """
-        k: cython.Py_ssize_t
         discs: ObstacleDiscs = self.discs
         table = discs.table
         pose: PlanarPose = self._disc_pose
         # In `placed` the discs come behind the `seen` returns.
-        first_disc: cython.Py_ssize_t = self.constraints.placed.seen
+        first_disc = self.constraints.placed.seen
         moved = not_extrapolated * self.assumptions.surface_speed  # m, at most
         for k in range(discs.count):  # the discs near enough to constrain the robot
-            disc: cython.Py_ssize_t = discs.binding[k]  # the row in `table`
+            disc = discs.binding[k]  # the row in `table`
             disc_x = table[disc, DISC_X]
             disc_y = table[disc, DISC_Y]
             age = table[disc, DISC_AGE]
@@ -344,28 +313,25 @@ class FeasibleSet:
                 moved,
             )
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _is_touching(self) -> cython.int:
-        """1 if an obstacle may touch the robot.
+    def _is_touching(self) -> bool:
+        """True if an obstacle may touch the robot.
 
         Contact with a return of the scan lasts until the next scan (`near.has_contact`). Odometry
         cannot end a contact: by odometry a robot that is pushed moves away from the obstacle, which
         follows the robot (4.6 cm within 0.15 s, pushed at 0.3 m/s).
         """
-        i: cython.Py_ssize_t
         near: NearObstacles = self.near
         rows: ConstraintRows = self.constraints.rows
         placed: PlacedPoints = self.constraints.placed
         # 1. Returns. A cap above 0 permits to close on the obstacle, for example in a touch zone.
         for i in range(0 if near.has_contact else placed.seen):
             gap = min(placed.gap[i], placed.scan_gap[i])
-            is_contact_forbidden: cython.bint = rows.cap[placed.first_row[i]] <= 0.0
+            is_contact_forbidden = rows.cap[placed.first_row[i]] <= 0.0
             if gap <= placed.contact[i] and is_contact_forbidden:
                 near.has_contact = True
                 break
         if near.has_contact:
-            return 1
+            return True
         # 2. Discs. An obstacle is anywhere in its disc. Once the disc may have reached the outline,
         # the direction to the centre does not show on which side of the robot the obstacle is. So
         # the robot counts as touched as soon as the obstacle may have used up the gap to the disc.
@@ -374,5 +340,5 @@ class FeasibleSet:
         for i in range(placed.seen, placed.seen + placed.discs):
             gap_to_disc = placed.gap[i] - (placed.free[i] - self.assumptions.margin)
             if gap_to_disc <= self.assumptions.others_speed * (placed.age[i] + DECISION_PERIOD):
-                return 1
-        return 0
+                return True
+        return False

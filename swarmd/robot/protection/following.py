@@ -32,84 +32,83 @@ import msgspec
 from swarmd.core import cython_shadow as cython
 from swarmd.core.angles import TURN
 from swarmd.core.buffers import doubles
-from swarmd.core.cython_shadow import NAN, copysign, cos, fabs, remainder, sin, sqrt
+from swarmd.core.cython_shadow import NAN, Doubles, copysign, cos, fabs, remainder, sin, sqrt
 from swarmd.core.values import MAX_SPEED, MAX_STEP, ZERO, Odometry, Platform, Twist
 from swarmd.robot.protection.settings import BarrierSettings
 
 MIN_DURATION = 0.7
 """Seconds for which the speed must be outside the bounds."""
-WINDOW = cython.declare(cython.double, 1.0)
+WINDOW = 1.0
 """Seconds for which a command counts for the fast base."""
-DELAY = cython.declare(cython.double, 0.3)
+DELAY = 0.3
 """Seconds after a command at which the slow base begins to respond."""
 SLIP = 0.5
 """Share of the commanded speed by which the speed may be outside the bounds."""
 
-BLOCKED_TIME = cython.declare(cython.double, 1.0)
+BLOCKED_TIME = 1.0
 """Seconds in which a way fades from the sums by which a base is blocked."""
-_BLOCKED_SHARE = cython.declare(cython.double, 0.5)  # of the demanded way: less is blocked
-_LEAST_WAY = cython.declare(cython.double, 0.08)  # m (or rad) demanded in BLOCKED_TIME
+_BLOCKED_SHARE = 0.5  # of the demanded way: less is blocked
+_LEAST_WAY = 0.08  # m (or rad) demanded in BLOCKED_TIME
 
-AGREE_TIME = cython.declare(cython.double, 5.0)
+AGREE_TIME = 5.0
 """Seconds in which a way fades from the sums that compare pose and twist."""
-_AGREE_SHARE = cython.declare(cython.double, 0.2)  # of the path: slip, scale, a late twist
+_AGREE_SHARE = 0.2  # of the path: slip, scale, a late twist
 _TOLERANCES = 0.15, 0.5, 0.15  # m, rad and m to the left by which the ways may differ besides
-_JUMP_TIME = cython.declare(cython.double, 30.0)  # s in which a jump fades
-_JUMPS = cython.declare(cython.double, 1.5)  # faded jumps that are more than one correction
+_JUMP_TIME = 30.0  # s in which a jump fades
+_JUMPS = 1.5  # faded jumps that are more than one correction
 # What a changing speed adds to a step of the pose, in tolerances per s2: 3 m/s2, 10 rad/s2.
-_BEYOND = cython.declare(cython.double, 20.0)
+_BEYOND = 20.0
 
 # m/s, rad/s and m/s to the left: slower commands may not overcome the friction of a base.
 _LEAST = 0.05, 0.25, 0.05
 _BRAKING = 1.0, 3.0  # m/s2 and rad/s2 where the platform declares none
 _SLOW = 0.25  # share of the declared braking
-_MAX_PERIOD = cython.declare(cython.double, 0.3)  # s between two readings
+_MAX_PERIOD = 0.3  # s between two readings
 _MIN_READINGS = 4
 _COMMANDS = 16  # for which there is room at first
 _UNITS = "m/s", "rad/s", "m/s to the left"
 _WHY = "a reflex of the base, a stuck wheel, or another node drives"
 _WRONG = "one of both stands still, jumps, or has a wrong sign, scale or frame"
 
-_max_step = cython.declare(cython.double, MAX_STEP)
-_max_speed = cython.declare(cython.double, MAX_SPEED)
-_inf = cython.declare(cython.double, math.inf)
+_max_step = MAX_STEP
+_max_speed = MAX_SPEED
+_inf = math.inf
 
 
-@cython.final
 @cython.cclass
 class _Axis:
     """Compares the commands and the motion of one axis; times are stamps of odometry in s."""
 
-    text: str = cython.declare(object, visibility="readonly")  # empty while the base follows
+    text: str  # empty while the base follows
     # The sign of the demanded motion if the base is blocked; else 0.
-    blocked = cython.declare(cython.double, visibility="readonly")
+    blocked: float
     # How pose and twist contradict each other; empty while they agree.
-    contradiction: str = cython.declare(object, visibility="readonly")
-    _demanded_way: cython.double
-    _moved_way: cython.double
-    _most_demanded: cython.double  # m/s or rad/s; rises from zero after a reversal
-    _pose_way: cython.double
-    _twist_way: cython.double
-    _path: cython.double  # like the greater of both ways, without the signs
-    _jumps: cython.double
-    _tolerance: cython.double  # m or rad by which the ways may differ
-    _least: cython.double  # the slowest command that counts
-    _acceleration: cython.double  # of the slow base
-    _unit: str = cython.declare(object)
+    contradiction: str
+    _demanded_way: float
+    _moved_way: float
+    _most_demanded: float  # m/s or rad/s; rises from zero after a reversal
+    _pose_way: float
+    _twist_way: float
+    _path: float  # like the greater of both ways, without the signs
+    _jumps: float
+    _tolerance: float  # m or rad by which the ways may differ
+    _least: float  # the slowest command that counts
+    _acceleration: float  # of the slow base
+    _unit: str
     # The commands from `_first` to before `_end`: the stamp since which each holds, its speed. The
     # slow base moves towards the command at `_held`.
-    _stamps: cython.double[::1]
-    _speeds: cython.double[::1]
-    _first: cython.Py_ssize_t
-    _held: cython.Py_ssize_t
-    _end: cython.Py_ssize_t
-    _slow_speed: cython.double  # the speed of the slow base
-    _command: cython.double  # the last command
-    _begun_at: cython.double  # when the comparison began
+    _stamps: Doubles
+    _speeds: Doubles
+    _first: int
+    _held: int
+    _end: int
+    _slow_speed: float  # the speed of the slow base
+    _command: float  # the last command
+    _begun_at: float  # when the comparison began
     # The time since which the speed is outside the bounds (inf: it is within), and the readings
     # since then.
-    _outside_since: cython.double
-    _outside_readings: cython.Py_ssize_t
+    _outside_since: float
+    _outside_readings: int
 
     def __init__(self, least: float, acceleration: float, unit: str, tolerance: float) -> None:
         self._least = least
@@ -126,8 +125,7 @@ class _Axis:
             places = self._first, self._held, self._end
             raise ValueError(f"commands at {places} in {len(self._stamps)} stamps")
 
-    @cython.ccall
-    def reset(self, command: cython.double, stamp: cython.double) -> None:
+    def reset(self, command: float, stamp: float) -> None:
         """Begin again; for WINDOW s, the base may have any speed."""
         self._first = 0
         self._held = 0
@@ -147,22 +145,19 @@ class _Axis:
         self.contradiction = ""
         self._follow()
 
-    @cython.ccall
-    def on_command(self, command: cython.double, stamp: cython.double) -> None:
+    def on_command(self, command: float, stamp: float) -> None:
         """Take in a command, which holds from the reading at `stamp` on."""
         if command != self._command:
             self._command = command
             self._add(command, stamp)
 
-    @cython.cfunc
-    def _add(self, command: cython.double, stamp: cython.double) -> None:
+    def _add(self, command: float, stamp: float) -> None:
         """Append a command; if the buffer is full, first move the commands to its begin.
 
         If the commands fill more than half of the buffer, a larger buffer is made.
         """
-        i: cython.Py_ssize_t
-        first: cython.Py_ssize_t = self._first
-        count: cython.Py_ssize_t = self._end - first
+        first = self._first
+        count = self._end - first
         if self._end == len(self._stamps):
             stamps = self._stamps
             speeds = self._speeds
@@ -179,8 +174,7 @@ class _Axis:
         self._speeds[self._end] = command
         self._end += 1
 
-    @cython.cfunc
-    def _move_slow_base(self, period: cython.double, stamp: cython.double) -> None:
+    def _move_slow_base(self, period: float, stamp: float) -> None:
         """Move the slow base on for `period` s, and drop commands that count no more.
 
         The slow base follows a command DELAY s late, and two periods are added to this delay. A
@@ -206,17 +200,13 @@ class _Axis:
         else:
             self._slow_speed += step if change > step else change
 
-    @cython.cfunc
     def _follow(self) -> None:
         """Note that the speed is within the bounds: `text` becomes empty."""
         self._outside_since = _inf
         self._outside_readings = 0
         self.text = ""
 
-    @cython.cfunc
-    def _sum_ways(
-        self, period: cython.double, by_twist: cython.double, by_pose: cython.double
-    ) -> cython.int:
+    def _sum_ways(self, period: float, by_twist: float, by_pose: float) -> None:
         """Add a period to the demanded and the moved way, and set `blocked`; see `on_reading`."""
         slow = self._slow_speed
         sign = copysign(1.0, slow)
@@ -229,19 +219,16 @@ class _Axis:
         kept = 1.0 - period / BLOCKED_TIME
         self._demanded_way = kept * self._demanded_way + period * demanded
         # Motion against the demanded direction ends a command before, faster than the slow base.
-        counts: cython.bint = demanded * moved > 0.0
+        counts = demanded * moved > 0.0
         self._moved_way = kept * self._moved_way + (period * moved if counts else 0.0)
         sign = copysign(1.0, self._demanded_way)
         needed = _BLOCKED_SHARE * fabs(self._demanded_way)
-        is_demanded: cython.bint = needed >= _BLOCKED_SHARE * _LEAST_WAY
+        is_demanded = needed >= _BLOCKED_SHARE * _LEAST_WAY
         # A base that is pushed back is not blocked: it does not stand.
-        stands: cython.bint = fabs(moved) < self._least and fabs(self._moved_way) < needed
+        stands = fabs(moved) < self._least and fabs(self._moved_way) < needed
         self.blocked = sign if is_demanded and stands else 0.0
 
-    @cython.cfunc
-    def _compare_ways(
-        self, period: cython.double, by_twist: cython.double, by_pose: cython.double
-    ) -> cython.int:
+    def _compare_ways(self, period: float, by_twist: float, by_pose: float) -> None:
         """Add a period to the ways by pose and twist, and set `contradiction`; see `on_reading`.
 
         A jump of the pose is counted, and is no part of the ways.
@@ -271,14 +258,7 @@ class _Axis:
                 f" {_JUMP_TIME:.0f} s: {_WRONG}"
             )
 
-    @cython.ccall
-    def on_reading(
-        self,
-        period: cython.double,
-        stamp: cython.double,
-        by_twist: cython.double,
-        by_pose: cython.double,
-    ) -> None:
+    def on_reading(self, period: float, stamp: float, by_twist: float, by_pose: float) -> None:
         """Compare the speed of the last period with the bounds; set `text` and `contradiction`.
 
         The text tells how the base differs, once the base has not followed for MIN_DURATION. The
@@ -293,7 +273,6 @@ class _Axis:
             by_twist: m/s or rad/s, the speed by the measured twist.
             by_pose: m/s or rad/s, the speed by the change of the pose.
         """
-        i: cython.Py_ssize_t
 
         self._compare_ways(period, by_twist, by_pose)
         # 1. The usual case, decided fast: the speed is between the last command and the slow base.
@@ -316,7 +295,7 @@ class _Axis:
         for i in range(self._first, self._end):
             low = min(self._speeds[i], low)
             high = max(self._speeds[i], high)
-        tolerance: cython.double = max(least, SLIP * max(fabs(low), fabs(high)))
+        tolerance = max(least, SLIP * max(fabs(low), fabs(high)))
         pose_off = max(low - by_pose, by_pose - high)
         twist_off = max(low - by_twist, by_twist - high)
         measured = by_pose if pose_off < twist_off else by_twist
@@ -338,7 +317,6 @@ class _Axis:
             )
 
 
-@cython.final
 @cython.cclass
 class FollowingMonitor:
     """Watches whether the base of one robot follows its safe commands while the robot runs.
@@ -349,23 +327,23 @@ class FollowingMonitor:
     base is blocked, ahead before sideways; NaN: none.
     """
 
-    text: str = cython.declare(object, visibility="readonly")
-    blocked_bearing = cython.declare(cython.double, visibility="readonly")
+    text: str
+    blocked_bearing: float
     _linear: _Axis
     _angular: _Axis
     _lateral: _Axis
-    _is_lateral: cython.bint
+    _is_lateral: bool
     # Jumps of the pose that no base can make, faded over _JUMP_TIME, and the last one in m and rad.
-    _far_jumps: cython.double
-    _far_way: cython.double
-    _far_turn: cython.double
+    _far_jumps: float
+    _far_way: float
+    _far_turn: float
     _command: Twist  # the last safe command
-    _has_last: cython.bint  # a reading has come since the reset
+    _has_last: bool  # a reading has come since the reset
     # Stamp and pose of the last reading.
-    _stamp: cython.double
-    _x: cython.double
-    _y: cython.double
-    _yaw: cython.double
+    _stamp: float
+    _x: float
+    _y: float
+    _yaw: float
 
     def __init__(self, platform: Platform) -> None:
         braking = _BRAKING
@@ -410,14 +388,14 @@ class FollowingMonitor:
         """
         pose = odometry.pose
         twist = odometry.twist
-        stamp: cython.double = odometry.stamp
-        x: cython.double = pose.x
-        y: cython.double = pose.y
-        yaw: cython.double = pose.yaw
+        stamp = odometry.stamp
+        x = pose.x
+        y = pose.y
+        yaw = pose.yaw
         had_last = self._has_last
-        period: cython.double = stamp - self._stamp
-        dx: cython.double = x - self._x
-        dy: cython.double = y - self._y
+        period = stamp - self._stamp
+        dx = x - self._x
+        dy = y - self._y
         turned = remainder(yaw - self._yaw, TURN)
         middle_yaw = self._yaw + 0.5 * turned
         if had_last and period == 0.0:
@@ -429,7 +407,7 @@ class FollowingMonitor:
         self._yaw = yaw
         # 1. Begins again after a gap in the readings, or a jump of the pose.
         way = sqrt(dx * dx + dy * dy)
-        is_jump: cython.bint = (  # an estimator corrected the pose, or it was reset
+        is_jump = (  # an estimator corrected the pose, or it was reset
             had_last and max(way, fabs(turned)) > _max_step + _max_speed * max(period, 0.0)
         )
         self._far_jumps *= max(1.0 - max(period, 0.0) / _JUMP_TIME, 0.0) if had_last else 0.0
@@ -469,7 +447,6 @@ class FollowingMonitor:
         elif self._lateral.blocked:
             self.blocked_bearing = 0.25 * TURN * self._lateral.blocked
 
-    @cython.cfunc
     def _jump_text(self) -> str:
         """How far the pose jumps, if it does so again and again; empty otherwise."""
         if self._far_jumps <= _JUMPS:

@@ -15,21 +15,20 @@ from swarmd.robot.protection.comparisons import maximum
 from swarmd.robot.protection.constraints import ConstraintRows, Constraints, PlacedPoints, SpeedAxes
 from swarmd.robot.protection.outline import Outline
 
-BINDING_TOLERANCE = cython.declare(cython.double, 1e-9)
+BINDING_TOLERANCE = 1e-9
 """A constraint a x + b y <= cap counts as tight if both sides differ by less than this."""
-MAX_REPORTED = cython.declare(cython.Py_ssize_t, 4)
+MAX_REPORTED = 4
 """Constraints that a decision reports."""
 
 # m: rounding decides the direction of a nearer place
-_AT_AXLE = cython.declare(cython.double, 1e-9)
+_AT_AXLE = 1e-9
 
 
-@cython.final
 @cython.cclass
 class LimitingRows:
     """The constraints that limit a command, ranked by rising caps, then by rising gaps."""
 
-    count: cython.Py_ssize_t
+    count: int
     row: cython.Py_ssize_t[4]
     _assumptions: Assumptions
     _constraints: Constraints
@@ -47,8 +46,7 @@ class LimitingRows:
         if not 0 <= self.count <= MAX_REPORTED:
             raise ValueError(f"{self.count} rows are ranked")
 
-    @cython.cfunc
-    def report(self, x: cython.double, y: cython.double) -> tuple[LimitingObstacle, ...]:
+    def report(self, x: float, y: float) -> tuple[LimitingObstacle, ...]:
         """The obstacles whose constraints are tight at the speeds x, y; at most four.
 
         `x` and `y` are the linear and the angular speed over their limits. A constraint a x + b y
@@ -60,10 +58,9 @@ class LimitingRows:
         The gap is measured from the outline, also for a constraint of a single corner. A place at
         the axle has no direction, so its bearing is given as 0.
         """
-        i: cython.Py_ssize_t
         rows: ConstraintRows = self._constraints.rows
         placed: PlacedPoints = self._constraints.placed
-        tight_count: cython.Py_ssize_t = 0
+        tight_count = 0
         row_x = checked(rows.x, rows.all)
         row_y = checked(rows.y, rows.all)
         row_cap = checked(rows.cap, rows.all)
@@ -88,9 +85,9 @@ class LimitingRows:
                     last_gap = row_gap[self.row[MAX_REPORTED - 1]]
 
         # 2. Without a tight constraint: the first constraint of the nearest point.
-        points: cython.Py_ssize_t = placed.seen + placed.discs
+        points = placed.seen + placed.discs
         if tight_count == 0 and points:
-            nearest_row: cython.Py_ssize_t = placed.first_row[0]
+            nearest_row = placed.first_row[0]
             for i in range(1, points):
                 if rows.gap[placed.first_row[i]] < rows.gap[nearest_row]:
                     nearest_row = placed.first_row[i]
@@ -102,12 +99,9 @@ class LimitingRows:
             obstacles.append(self._obstacle(rows, placed, self.row[i]))
         return tuple(obstacles)
 
-    @cython.cfunc
-    def _obstacle(
-        self, rows: ConstraintRows, placed: PlacedPoints, row: cython.Py_ssize_t
-    ) -> LimitingObstacle:
+    def _obstacle(self, rows: ConstraintRows, placed: PlacedPoints, row: int) -> LimitingObstacle:
         """The report of the obstacle of a constraint."""
-        point: cython.Py_ssize_t = rows.source[row]
+        point = rows.source[row]
         radius = placed.radius[point]
         x = placed.x[point] - radius * placed.normal_x[point]
         y = placed.y[point] - radius * placed.normal_y[point]
@@ -117,34 +111,24 @@ class LimitingRows:
         cost = self._age_cost(rows, placed, row)
         return LimitingObstacle(bearing, gap, rows.cap[row], age, cost)
 
-    @cython.cfunc
-    @cython.exceptval(-1.0, check=True)
-    def _age_cost(
-        self, rows: ConstraintRows, placed: PlacedPoints, row: cython.Py_ssize_t
-    ) -> cython.double:
+    def _age_cost(self, rows: ConstraintRows, placed: PlacedPoints, row: int) -> float:
         """The m/s by which the cap of a constraint would be higher for an obstacle seen just now.
 
         0 for constraints that do not limit the closing speed, such as side constraints.
         """
-        point: cython.Py_ssize_t = rows.source[row]
+        point = rows.source[row]
         cap = self._closing_cap(rows, placed, row, placed.age[point])
         if row != placed.first_row[point] and cap != rows.cap[row]:
             return 0.0
         return maximum(self._closing_cap(rows, placed, row, REACTION) - rows.cap[row], 0.0)
 
-    @cython.cfunc
-    @cython.exceptval(-1.0, check=True)
     def _closing_cap(
-        self,
-        rows: ConstraintRows,
-        placed: PlacedPoints,
-        row: cython.Py_ssize_t,
-        unseen: cython.double,
-    ) -> cython.double:
+        self, rows: ConstraintRows, placed: PlacedPoints, row: int, unseen: float
+    ) -> float:
         """The cap in m/s of a constraint as Constraints sets it, for a point not seen for s."""
         assumptions: Assumptions = self._assumptions
         axes: SpeedAxes = self._constraints.axes
-        point: cython.Py_ssize_t = rows.source[row]
+        point = rows.source[row]
         others = placed.others[point]
         room = rows.gap[row] + placed.radius[point] - placed.free[point]
         braking = closing_deceleration(
@@ -157,9 +141,7 @@ class LimitingRows:
             return wall_cap(room, braking, unseen, others)
         return closing_cap(room, braking, unseen, others)
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _rank(self, rows: ConstraintRows, row: cython.Py_ssize_t) -> cython.int:
+    def _rank(self, rows: ConstraintRows, row: int) -> None:
         """Insert a constraint into the ranking by rising caps, then by rising gaps.
 
         A constraint without a finite gap is left out. The ranking holds MAX_REPORTED constraints:
@@ -168,17 +150,15 @@ class LimitingRows:
         cap = rows.cap[row]
         gap = rows.gap[row]
         if not gap < INFINITY:
-            return 0
-        rank: cython.Py_ssize_t = self.count
-        place: cython.Py_ssize_t
-        before: cython.Py_ssize_t
+            return
+        rank = self.count
         while rank > 0:
             before = self.row[rank - 1]
             if rows.cap[before] < cap or (rows.cap[before] == cap and rows.gap[before] <= gap):
                 break
             rank -= 1
         if rank == MAX_REPORTED:
-            return 0
+            return
         self.count = min(self.count + 1, MAX_REPORTED)
         for place in range(self.count - 1, rank, -1):
             self.row[place] = self.row[place - 1]

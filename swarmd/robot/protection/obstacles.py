@@ -11,7 +11,7 @@ import numpy as np
 
 from swarmd.core import cython_shadow as cython
 from swarmd.core.buffers import checked, checked_indices, doubles, indices, view
-from swarmd.core.cython_shadow import INFINITY, NAN, cos, hypot, sin
+from swarmd.core.cython_shadow import INFINITY, NAN, Doubles, Indices, Table, cos, hypot, sin
 from swarmd.robot.protection.barrier_assumptions import OTHER, REACTION, Assumptions
 from swarmd.robot.protection.dead_reckoning import ScanMotion
 from swarmd.robot.protection.outline import Outline
@@ -25,17 +25,17 @@ NO_NUMBERS = view(np.empty(0))
 NO_ROWS = view(np.empty((0, 4)))
 """No hidden obstacle, and no disc."""
 
-REACH = cython.declare(cython.double, 1.5)
+REACH = 1.5
 """m from the lidar, up to which a layer of returns looks."""
 
 # The columns of the table of discs.
-DISC_X = cython.declare(cython.Py_ssize_t, 0)  # m, in the base frame when the disc was measured
-DISC_Y = cython.declare(cython.Py_ssize_t, 1)
-DISC_RADIUS = cython.declare(cython.Py_ssize_t, 2)  # m
-DISC_AGE = cython.declare(cython.Py_ssize_t, 3)  # s from the measurement until the decision
+DISC_X = 0  # m, in the base frame when the disc was measured
+DISC_Y = 1
+DISC_RADIUS = 2  # m
+DISC_AGE = 3  # s from the measurement until the decision
 
 _ROOM = 96  # points, before there are more
-_FIRST_RUN = cython.declare(cython.Py_ssize_t, 8)  # points that insertion sorts
+_FIRST_RUN = 8  # points that insertion sorts
 
 
 @cython.cclass
@@ -47,23 +47,22 @@ class ReturnLayer:
     of its constraints.
     """
 
-    kinds: cython.longlong[::1]  # of the last scan: the kind of the return of each ray
-    has_kinds: cython.bint  # the last scan has a return that is not OTHER
-    has_bare_walls: cython.bint  # the last scan has a return of the kind BARE_WALL
-    wants_all: cython.bint  # `observe` needs the directions of all rays
+    kinds: Indices  # of the last scan: the kind of the return of each ray
+    has_kinds: bool  # the last scan has a return that is not OTHER
+    has_bare_walls: bool  # the last scan has a return of the kind BARE_WALL
+    wants_all: bool  # `observe` needs the directions of all rays
 
     def __init__(self, rays: int) -> None:
         self.kinds = indices(rays)
 
-    @cython.cfunc
     def observe(
         self,
-        ranges: cython.const_double[::1],
-        directions: cython.double[::1],
-        ages: cython.const_double[::1],
-        filled: cython.const_double[::1],
-        borrowed: cython.Py_ssize_t,
-        hidden: cython.double[:, ::1],
+        ranges: Doubles,
+        directions: Doubles,
+        ages: Doubles,
+        filled: Doubles,
+        borrowed: int,
+        hidden: Table,
         motion: ScanMotion,
     ) -> None:
         """Take in a scan: set `kinds`, `has_kinds` and `has_bare_walls`.
@@ -80,7 +79,6 @@ class ReturnLayer:
         """
 
 
-@cython.final
 @cython.cclass
 class Points:
     """Points: places, gaps to the outline in m, and ages in s. The first `count` are in use.
@@ -88,12 +86,12 @@ class Points:
     `kind`: of the obstacle.
     """
 
-    count: cython.Py_ssize_t
-    x: cython.double[::1]
-    y: cython.double[::1]
-    gap: cython.double[::1]
-    age: cython.double[::1]
-    kind: cython.longlong[::1]
+    count: int
+    x: Doubles
+    y: Doubles
+    gap: Doubles
+    age: Doubles
+    kind: Indices
 
     def __init__(self, room: int) -> None:
         self.x = doubles(room)
@@ -102,12 +100,10 @@ class Points:
         self.age = doubles(room)
         self.kind = indices(room)
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def reserve(self, room: cython.Py_ssize_t) -> cython.int:
+    def reserve(self, room: int) -> None:
         """Make the arrays at least `room` long; arrays that were shorter lose their numbers."""
         if len(self.x) >= room:
-            return 0
+            return
         room += room // 2  # else each further point would make new arrays
         self.x = doubles(room)
         self.y = doubles(room)
@@ -115,18 +111,9 @@ class Points:
         self.age = doubles(room)
         self.kind = indices(room)
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def add(
-        self,
-        x: cython.double,
-        y: cython.double,
-        gap: cython.double,
-        age: cython.double,
-        kind: cython.longlong,
-    ) -> cython.int:
+    def add(self, x: float, y: float, gap: float, age: float, kind: int) -> None:
         """Add a point; `reserve` must have made room."""
-        at: cython.Py_ssize_t = self.count
+        at = self.count
         self.x[at] = x
         self.y[at] = y
         self.gap[at] = gap
@@ -135,7 +122,6 @@ class Points:
         self.count = at + 1
 
 
-@cython.final
 @cython.cclass
 class NearObstacles:
     """The returns of the last scan that are near enough to constrain the robot.
@@ -146,22 +132,22 @@ class NearObstacles:
 
     points: Points
     # m, for each point, from the wide surface that it is on; NaN: on none. See `find_surfaces`.
-    surface_gap: cython.double[::1]
-    contacts: cython.Py_ssize_t  # the first points
+    surface_gap: Doubles
+    contacts: int  # the first points
     rays: Points  # unit vectors of the rays of contacts, in `x` and `y`
-    is_near: cython.bint  # an obstacle is so near that the envelope (envelope.py) holds
-    has_contact: cython.bint  # a decision since the last scan found the robot in contact
-    min_gap: float | None = cython.declare(object)  # m to the nearest return; None without a return
+    is_near: bool  # an obstacle is so near that the envelope (envelope.py) holds
+    has_contact: bool  # a decision since the last scan found the robot in contact
+    min_gap: float | None  # m to the nearest return; None without a return
     bearings: Array  # of the rays, as the scan has them
-    _bearings: cython.const_double[::1]
-    _directions: cython.double[::1]  # x and y of each ray; x is NaN where they are not known yet
+    _bearings: Doubles
+    _directions: Doubles  # x and y of each ray; x is NaN where they are not known yet
     # The points before they are sorted, and two orders of them.
     _unsorted: Points
-    _unsorted_gap: cython.double[::1]  # as `surface_gap`
-    _returns: cython.Py_ssize_t  # the first unsorted points, in the order of their rays
-    _has_surfaces: cython.bint  # `surface_gap` is known
-    _order: cython.longlong[::1]
-    _spare: cython.longlong[::1]
+    _unsorted_gap: Doubles  # as `surface_gap`
+    _returns: int  # the first unsorted points, in the order of their rays
+    _has_surfaces: bool  # `surface_gap` is known
+    _order: Indices
+    _spare: Indices
     _assumptions: Assumptions
     _outline: Outline
     _motion: ScanMotion
@@ -195,20 +181,16 @@ class NearObstacles:
         if not 0 <= self.contacts <= min(len(self.points.x), len(self.rays.x)):
             raise ValueError(f"{self.contacts} contacts of {len(self.points.x)} points")
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def has_bare_walls(self) -> cython.int:
-        """1 if a return of the last scan is of the kind BARE_WALL."""
+    def has_bare_walls(self) -> bool:
+        """True if a return of the last scan is of the kind BARE_WALL."""
         layer: ReturnLayer | None = self._layer
         if layer is None:
-            return 0
+            return False
         return layer.has_bare_walls != 0
 
-    @cython.cfunc
     def set_bearings(self, bearings: Array) -> None:
         """Take the rays of other bearings; their directions are found when they are needed."""
-        i: cython.Py_ssize_t
-        count: cython.Py_ssize_t = len(bearings)
+        count = len(bearings)
         self.bearings = bearings
         self._bearings = view(bearings)
         if len(self._directions) < 2 * count:
@@ -217,31 +199,22 @@ class NearObstacles:
         for i in range(count):
             directions[2 * i] = NAN
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _find_direction(self, ray: cython.Py_ssize_t) -> cython.int:
+    def _find_direction(self, ray: int) -> None:
         """Put the direction of a ray into `_directions`."""
         bearing = self._bearings[ray]
         self._directions[2 * ray] = cos(bearing)
         self._directions[2 * ray + 1] = sin(bearing)
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _find_directions(
-        self, ranges: cython.const_double[::1], wants_all: cython.bint
-    ) -> cython.int:
+    def _find_directions(self, ranges: Doubles, wants_all: bool) -> None:
         """Find the directions of all rays with a range up to REACH m, or of all rays."""
-        i: cython.Py_ssize_t
         for i in range(len(ranges)):
             if (wants_all or ranges[i] <= REACH) and self._directions[2 * i] != self._directions[
                 2 * i
             ]:
                 self._find_direction(i)
 
-    @cython.cfunc
-    def find_min_gap(self, ranges: cython.const_double[::1], range_min: cython.double) -> None:
+    def find_min_gap(self, ranges: Doubles, range_min: float) -> None:
         """Set `min_gap` by a scan whose obstacles do not replace those of the last scan."""
-        i: cython.Py_ssize_t
         outline: Outline = self._outline
         nearest = _least_of(ranges)
         range_of_nearest = outline.nearest_within(nearest, range_min)
@@ -257,24 +230,21 @@ class NearObstacles:
                     smallest_gap = gap
         self._set_min_gap(nearest, smallest_gap)
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _set_min_gap(self, nearest: cython.double, smallest_gap: cython.double) -> cython.int:
+    def _set_min_gap(self, nearest: float, smallest_gap: float) -> None:
         """Set `min_gap` by the least range of the scan and the smallest gap of its returns."""
         if nearest == INFINITY:
             self.min_gap = None
         else:
             self.min_gap = 0.0 if nearest == -INFINITY else smallest_gap
 
-    @cython.cfunc
     def take_scan(
         self,
-        ranges: cython.const_double[::1],
-        range_min: cython.double,
-        ages: cython.const_double[::1],
-        filled: cython.const_double[::1],
-        borrowed: cython.Py_ssize_t,
-        hidden: cython.double[:, ::1],
+        ranges: Doubles,
+        range_min: float,
+        ages: Doubles,
+        filled: Doubles,
+        borrowed: int,
+        hidden: Table,
     ) -> None:
         """Replace the near obstacles by those of a scan, hidden obstacles included.
 
@@ -291,8 +261,8 @@ class NearObstacles:
             hidden: (m, 3) unit vector from the lidar to each hidden obstacle, and the least
                 distance of the obstacle from the lidar in m.
         """
-        count: cython.Py_ssize_t = len(ranges)
-        room: cython.Py_ssize_t = count + len(hidden)
+        count = len(ranges)
+        room = count + len(hidden)
         if count > len(self._bearings):
             raise IndexError(f"{count} ranges, but {len(self._bearings)} rays")
         if len(ages) > 0 and len(ages) != count:
@@ -341,20 +311,18 @@ class NearObstacles:
         least_hidden_gap = self._take_hidden(hidden, binding_range)
         if least_hidden_gap < least_gap:
             least_gap = least_hidden_gap
-        has_contacts: cython.bint = self.rays.count > 0
+        has_contacts = self.rays.count > 0
         self.is_near = has_contacts or least_gap <= envelope_range
         self._sort_points()
 
-    @cython.cfunc
-    @cython.exceptval(-1.0, check=True)
     def _take_returns(
         self,
-        ranges: cython.const_double[::1],
-        range_min: cython.double,
-        ages: cython.const_double[::1],
-        longest_range: cython.double,
-        binding_range: cython.double,
-    ) -> cython.double:
+        ranges: Doubles,
+        range_min: float,
+        ages: Doubles,
+        longest_range: float,
+        binding_range: float,
+    ) -> float:
         """Add the returns whose gap to the outline is at most `binding_range`, and set `min_gap`.
 
         `min_gap` is the least gap of all returns, at any range. Returns too close to measure go to
@@ -368,9 +336,8 @@ class NearObstacles:
             longest_range: m from the lidar, beyond which no return is added.
             binding_range: m from the outline.
         """
-        i: cython.Py_ssize_t
-        count: cython.Py_ssize_t = len(ranges)
-        has_ages: cython.bint = len(ages) > 0
+        count = len(ranges)
+        has_ages = len(ages) > 0
         outline: Outline = self._outline
         rays: Points = self.rays
         unsorted: Points = self._unsorted
@@ -381,7 +348,7 @@ class NearObstacles:
         near_age = checked(unsorted.age, count)
         near_kind = checked_indices(unsorted.kind, count)
         layer: ReturnLayer | None = self._layer if self._assumptions.has_kinds else None
-        near_count: cython.Py_ssize_t = 0
+        near_count = 0
         least_range = _least_of(ranges)
         # m: the return nearest to the outline, which gives `min_gap`, has at most this range. In a
         # scan without near returns, this range may be above `longest_range`.
@@ -393,7 +360,7 @@ class NearObstacles:
             if not (measured_range <= longest_range or measured_range <= range_for_min_gap):
                 continue
             # A direction that no scan has needed so far is NaN.
-            has_direction: cython.bint = directions[2 * i] == directions[2 * i]
+            has_direction = directions[2 * i] == directions[2 * i]
             if not has_direction:
                 self._find_direction(i)
             age = ages[i] if has_ages else 0.0
@@ -423,18 +390,13 @@ class NearObstacles:
         self._set_min_gap(least_range, least_gap)
         return least_near_gap
 
-    @cython.cfunc
-    @cython.exceptval(-1.0, check=True)
-    def _take_hidden(
-        self, hidden: cython.double[:, ::1], binding_range: cython.double
-    ) -> cython.double:
+    def _take_hidden(self, hidden: Table, binding_range: float) -> float:
         """Add the hidden obstacles (see `take_scan`) that may constrain the robot.
 
         A hidden obstacle that may be within the outline becomes a contact. An obstacle farther than
         `binding_range` m from the outline is left out. The result is the least gap in m of the
         obstacles that are not contacts; inf without such an obstacle.
         """
-        i: cython.Py_ssize_t
         outline: Outline = self._outline
         age = self._motion.oldest
         closest_gap = INFINITY
@@ -442,7 +404,7 @@ class NearObstacles:
             ray_x = hidden[i, 0]
             ray_y = hidden[i, 1]
             least_distance = hidden[i, 2]
-            is_outside: cython.bint = least_distance > outline.along_ray(ray_x, ray_y)
+            is_outside = least_distance > outline.along_ray(ray_x, ray_y)
             if is_outside:
                 x = outline.lidar_x + least_distance * ray_x
                 y = outline.lidar_y + least_distance * ray_y
@@ -455,14 +417,11 @@ class NearObstacles:
                 self.rays.add(ray_x, ray_y, 0.0, age, OTHER)
         return closest_gap
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _sort_points(self) -> cython.int:
+    def _sort_points(self) -> None:
         """Fill `points`: first the contacts, then the other near obstacles by rising gaps.
 
         A contact is placed where its ray leaves the outline.
         """
-        i: cython.Py_ssize_t
         outline: Outline = self._outline
         points: Points = self.points
         rays: Points = self.rays
@@ -482,17 +441,14 @@ class NearObstacles:
             points.kind[rays.count + i] = unsorted.kind[self._order[i]]
         points.count = rays.count + unsorted.count
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def find_surfaces(self) -> cython.int:
+    def find_surfaces(self) -> None:
         """Set `surface_gap`, once for each scan: only a robot that creeps needs it.
 
         Contacts and hidden obstacles are on no wide surface.
         """
-        i: cython.Py_ssize_t
         unsorted: Points = self._unsorted
         if self._has_surfaces:
-            return 0
+            return
         if len(self._unsorted_gap) < unsorted.count:
             self._unsorted_gap = doubles(len(unsorted.x))
         if len(self.surface_gap) < self.points.count:
@@ -507,22 +463,13 @@ class NearObstacles:
         for i in range(unsorted.count):
             self.surface_gap[self.contacts + i] = self._unsorted_gap[self._order[i]]
         self._has_surfaces = True
-        return 0
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _sort(self, count: cython.Py_ssize_t) -> cython.int:
+    def _sort(self, count: int) -> None:
         """Write into `_order` the indices of the first `count` unsorted points by rising gaps.
 
         A merge sort of runs that are sorted by insertion first. Equal gaps keep their order.
         """
-        left: cython.Py_ssize_t
-        right: cython.Py_ssize_t
-        target: cython.Py_ssize_t
-        first: cython.Py_ssize_t
-        middle: cython.Py_ssize_t
-        end: cython.Py_ssize_t
-        run_length: cython.Py_ssize_t = _FIRST_RUN
+        run_length = _FIRST_RUN
         gaps = checked(self._unsorted.gap, count)
         order = checked_indices(self._order, count)
         spare = checked_indices(self._spare, count)
@@ -558,16 +505,8 @@ class NearObstacles:
             run_length *= 2
 
 
-@cython.cfunc
-def _take(
-    values: cython.double[::1],
-    order: cython.longlong[::1],
-    count: cython.Py_ssize_t,
-    into: cython.double[::1],
-    begin: cython.Py_ssize_t,
-) -> None:
+def _take(values: Doubles, order: Indices, count: int, into: Doubles, begin: int) -> None:
     """Put the values at the first `count` indices of `order` into a buffer, from `begin` on."""
-    i: cython.Py_ssize_t
     index = checked_indices(order, count)
     given = checked(values, count)
     to = checked(into, begin + count)
@@ -575,11 +514,8 @@ def _take(
         to[begin + i] = given[index[i]]
 
 
-@cython.cfunc
-@cython.exceptval(-1.0, check=True)
-def _least_of(ranges: cython.const_double[::1]) -> cython.double:
+def _least_of(ranges: Doubles) -> float:
     """The least range; inf without a return."""
-    i: cython.Py_ssize_t
     least = INFINITY
     for i in range(len(ranges)):
         if ranges[i] < least:
@@ -587,22 +523,20 @@ def _least_of(ranges: cython.const_double[::1]) -> cython.double:
     return least
 
 
-@cython.final
 @cython.cclass
 class ObstacleDiscs:
     """Discs in which an obstacle is (see `ToldObstacle`), with those that can constrain a robot."""
 
     obstacles: tuple[ToldObstacle, ...]  # the argument of `set`
-    table: cython.double[:, ::1]  # (n, 4): DISC_X, DISC_Y, DISC_RADIUS and DISC_AGE of each disc
-    count: cython.Py_ssize_t  # number of discs that can bind
-    binding: cython.longlong[::1]  # the indices of these discs in `table`
+    table: Table  # (n, 4): DISC_X, DISC_Y, DISC_RADIUS and DISC_AGE of each disc
+    count: int  # number of discs that can bind
+    binding: Indices  # the indices of these discs in `table`
 
     def __init__(self) -> None:
         self.obstacles = ()
         self.table = NO_ROWS
         self.binding = indices(8)
 
-    @cython.cfunc
     def set(self, told: tuple[ToldObstacle, ...]) -> None:
         """Replace the discs by `told`, a tuple of ToldObstacle."""
         self.obstacles = told
@@ -611,14 +545,11 @@ class ObstacleDiscs:
         if len(self.binding) < len(told):
             self.binding = indices(len(told))
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def find_binding(self, assumptions: Assumptions, radius: cython.double) -> cython.int:
+    def find_binding(self, assumptions: Assumptions, radius: float) -> None:
         """List in `binding` the discs that can constrain a robot.
 
         `radius` in m: how far the outline of the robot reaches from its axle.
         """
-        i: cython.Py_ssize_t
         table = self.table
         approach_speed = assumptions.others_speed + assumptions.top_surface_speed
         self.count = 0

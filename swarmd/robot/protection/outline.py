@@ -12,7 +12,7 @@ import numpy as np
 
 from swarmd.core import cython_shadow as cython
 from swarmd.core.buffers import checked, view
-from swarmd.core.cython_shadow import INFINITY, sqrt
+from swarmd.core.cython_shadow import INFINITY, Doubles, sqrt
 from swarmd.core.values import Platform
 from swarmd.robot.protection.comparisons import maximum
 from swarmd.robot.protection.footprint import Footprint
@@ -20,14 +20,13 @@ from swarmd.robot.protection.footprint import Footprint
 if TYPE_CHECKING:
     from swarmd.core.values import Array
 
-CHUNK = cython.declare(cython.Py_ssize_t, 64)
+CHUNK = 64
 """Points of a chunk at most."""
 
-_ON_OUTLINE = cython.declare(cython.double, 1e-9)  # m: the direction from the outline is rounding
-_ALONG_EDGE = cython.declare(cython.double, 1e-12)  # approach of a ray that never leaves an edge
+_ON_OUTLINE = 1e-9  # m: the direction from the outline is rounding
+_ALONG_EDGE = 1e-12  # approach of a ray that never leaves an edge
 
 
-@cython.final
 @cython.cclass
 class Chunk:
     """Up to CHUNK points near the outline, and what is computed for each; `count` are in use.
@@ -35,7 +34,7 @@ class Chunk:
     The arrays of C have a fixed length, so that the compiler vectorises the loops over them.
     """
 
-    count: cython.Py_ssize_t
+    count: int
     # Of each point: place in m, distance in m that must stay free around the point, age in s,
     # radius in m, and m/s at which the obstacle may approach.
     x: cython.double[64]
@@ -82,32 +81,31 @@ class Chunk:
             raise ValueError(f"{self.count} points in a chunk of {CHUNK}")
 
 
-@cython.final
 @cython.cclass
 class Outline:
     """The convex outline of one robot, with the place of its lidar."""
 
     corners: Array  # (k, 2), counter-clockwise
-    edges: cython.Py_ssize_t  # k
-    corner_x: cython.double[::1]
-    corner_y: cython.double[::1]
+    edges: int  # k
+    corner_x: Doubles
+    corner_y: Doubles
     # (2k,) unit vectors: the directions of the k edges, then their k outward normals. `origin`:
     # the place in m of the first corner of the edge along each of these vectors.
-    axis_x: cython.double[::1]
-    axis_y: cython.double[::1]
-    origin: cython.double[::1]
-    length: cython.double[::1]  # (k,) of each edge
-    is_box: cython.bint  # a rectangle along the axes, between these places
-    front: cython.double
-    rear: cython.double
-    left: cython.double
-    right: cython.double
-    radius: cython.double  # from the axle to the outermost corner
+    axis_x: Doubles
+    axis_y: Doubles
+    origin: Doubles
+    length: Doubles  # (k,) of each edge
+    is_box: bool  # a rectangle along the axes, between these places
+    front: float
+    rear: float
+    left: float
+    right: float
+    radius: float  # from the axle to the outermost corner
     # The lidar, and the radii of the circles around it within and about the outline.
-    lidar_x: cython.double
-    lidar_y: cython.double
-    inner: cython.double
-    outer: cython.double
+    lidar_x: float
+    lidar_y: float
+    inner: float
+    outer: float
 
     def __init__(self, platform: Platform) -> None:
         footprint = Footprint(platform.footprint)
@@ -131,10 +129,7 @@ class Outline:
         if not 0 <= self.edges <= min(len(self.corner_x), len(self.length)):
             raise ValueError(f"{self.edges} edges of {len(self.corner_x)} corners")
 
-    @cython.cfunc
-    @cython.inline
-    @cython.exceptval(-1.0, check=True)
-    def gap_of(self, x: cython.double, y: cython.double) -> cython.double:
+    def gap_of(self, x: float, y: float) -> float:
         """The distance in m from the outline to a point; 0 for a point inside.
 
         A rectangle along the axes (`is_box`) needs fewer operations; its result differs by 1e-16.
@@ -148,12 +143,9 @@ class Outline:
             return sqrt(aside * aside + ahead * ahead)
         return self._gap_of_polygon(x, y)
 
-    @cython.cfunc
-    @cython.exceptval(-1.0, check=True)
-    def _gap_of_polygon(self, x: cython.double, y: cython.double) -> cython.double:
+    def _gap_of_polygon(self, x: float, y: float) -> float:
         """The least distance in m to the edges that have the point on their outer side."""
-        k: cython.Py_ssize_t
-        edges: cython.Py_ssize_t = self.edges
+        edges = self.edges
         least_square = INFINITY
         # `beyond_end` in m: how far the point is beyond an end of the edge.
         for k in range(edges):
@@ -173,9 +165,7 @@ class Outline:
                 least_square = square
         return 0.0 if least_square == INFINITY else sqrt(least_square)
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def separate(self, chunk: Chunk, blind: cython.double) -> cython.int:
+    def separate(self, chunk: Chunk, blind: float) -> None:
         """Set gap, direction, lever and hidden gap of each point of a chunk.
 
         - Gap: m from the nearest place of the outline to the point.
@@ -185,7 +175,6 @@ class Outline:
           lidar. An obstacle with a return at the point may extend unseen into this part.
         """
         self._find_nearest_edges(chunk)
-        j: cython.Py_ssize_t
         x = chunk.x
         y = chunk.y
         square = chunk.nearest_square
@@ -206,13 +195,13 @@ class Outline:
         for j in range(chunk.count):
             # 1. The gap: 0 inside, NaN for a point that is NaN. (`&` is no branch, so the compiler
             # vectorises the loop.)
-            is_number: cython.bint = square[j] == square[j]
-            is_inside: cython.bint = (height[j] <= 0.0) & is_number
+            is_number = square[j] == square[j]
+            is_inside = (height[j] <= 0.0) & is_number
             gap = sqrt(square[j])
             gap = 0.0 if is_inside else gap
 
             # 2. The direction. For a point on the outline: the normal of the edge.
-            is_on_outline: cython.bint = gap < _ON_OUTLINE
+            is_on_outline = gap < _ON_OUTLINE
             inverse = 1.0 / (1.0 if is_on_outline else gap)
             along_share = along_edge[j] * inverse
             above_share = above_edge[j] * inverse
@@ -242,9 +231,7 @@ class Outline:
             normals_y[j] = ny
             levers[j] = foot_x[j] * ny - foot_y[j] * nx
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _find_nearest_edges(self, chunk: Chunk) -> cython.int:
+    def _find_nearest_edges(self, chunk: Chunk) -> None:
         """Find the place of the outline nearest to each point of a chunk.
 
         Sets the arrays of the chunk, for each point:
@@ -256,21 +243,19 @@ class Outline:
         - `greatest_height`: the greatest signed distance from the line of any edge. For a point
           inside the outline this distance is not above 0.
         """
-        j: cython.Py_ssize_t
-        k: cython.Py_ssize_t
-        count: cython.Py_ssize_t = chunk.count
-        edges: cython.Py_ssize_t = self.edges
-        x: cython.p_double = chunk.x
-        y: cython.p_double = chunk.y
-        nearest: cython.p_double = chunk.nearest_square
-        greatest_height: cython.p_double = chunk.greatest_height
-        edge_number: cython.p_double = chunk.edge_number
-        axis_x: cython.p_double = checked(self.axis_x, 2 * edges)
-        axis_y: cython.p_double = checked(self.axis_y, 2 * edges)
-        origin: cython.p_double = checked(self.origin, 2 * edges)
-        lengths: cython.p_double = checked(self.length, edges)
-        corner_x: cython.p_double = checked(self.corner_x, edges)
-        corner_y: cython.p_double = checked(self.corner_y, edges)
+        count = chunk.count
+        edges = self.edges
+        x = chunk.x
+        y = chunk.y
+        nearest = chunk.nearest_square
+        greatest_height = chunk.greatest_height
+        edge_number = chunk.edge_number
+        axis_x = checked(self.axis_x, 2 * edges)
+        axis_y = checked(self.axis_y, 2 * edges)
+        origin = checked(self.origin, 2 * edges)
+        lengths = checked(self.length, edges)
+        corner_x = checked(self.corner_x, edges)
+        corner_y = checked(self.corner_y, edges)
         for j in range(count):
             nearest[j] = INFINITY
             greatest_height[j] = -INFINITY
@@ -279,26 +264,26 @@ class Outline:
         # 1. For each edge: finds the points that are nearer to this edge than to all edges before.
         # A point that is NaN is nearer to each edge.
         for k in range(edges):
-            direction_x: cython.double = axis_x[k]
-            direction_y: cython.double = axis_y[k]
-            normal_x: cython.double = axis_x[edges + k]
-            normal_y: cython.double = axis_y[edges + k]
-            direction_origin: cython.double = origin[k]
-            normal_origin: cython.double = origin[edges + k]
-            length: cython.double = lengths[k]
-            number: cython.double = k  # a double, as the squares: the compiler vectorises the loop
+            direction_x = axis_x[k]
+            direction_y = axis_y[k]
+            normal_x = axis_x[edges + k]
+            normal_y = axis_y[edges + k]
+            direction_origin = origin[k]
+            normal_origin = origin[edges + k]
+            length = lengths[k]
+            number = k  # a double, as the squares: the compiler vectorises the loop
             for j in range(count):
-                along: cython.double = direction_x * x[j] + direction_y * y[j] - direction_origin
-                above: cython.double = normal_x * x[j] + normal_y * y[j] - normal_origin
-                along_clamped: cython.double = along if along > 0.0 else 0.0
+                along = direction_x * x[j] + direction_y * y[j] - direction_origin
+                above = normal_x * x[j] + normal_y * y[j] - normal_origin
+                along_clamped = along if along > 0.0 else 0.0
                 along_clamped = length if along_clamped > length else along_clamped
-                beyond: cython.double = along - along_clamped
-                edge_square: cython.double = beyond * beyond + above * above
-                is_nearer: cython.bint = (edge_square < nearest[j]) | (edge_square != edge_square)
+                beyond = along - along_clamped
+                edge_square = beyond * beyond + above * above
+                is_nearer = (edge_square < nearest[j]) | (edge_square != edge_square)
                 # Plain choices between two known values: the compiler vectorises such a loop.
-                previous_number: cython.double = edge_number[j]
-                previous_square: cython.double = nearest[j]
-                previous_height: cython.double = greatest_height[j]
+                previous_number = edge_number[j]
+                previous_square = nearest[j]
+                previous_height = greatest_height[j]
                 edge_number[j] = number if is_nearer else previous_number
                 nearest[j] = edge_square if is_nearer else previous_square
                 greatest_height[j] = above if above > previous_height else previous_height
@@ -325,11 +310,8 @@ class Outline:
             chunk.foot_x[j] = corner_x[k] + along_clamped * axis_x[k]
             chunk.foot_y[j] = corner_y[k] + along_clamped * axis_y[k]
 
-    @cython.cfunc
-    @cython.exceptval(-1.0, check=True)
-    def along_ray(self, ray_x: cython.double, ray_y: cython.double) -> cython.double:
+    def along_ray(self, ray_x: float, ray_y: float) -> float:
         """m from the lidar to the outline along a ray; 0 if the lidar is outside the outline."""
-        k: cython.Py_ssize_t
         least = INFINITY
         for k in range(self.edges, 2 * self.edges):
             approach = ray_x * self.axis_x[k] + ray_y * self.axis_y[k]
@@ -341,9 +323,7 @@ class Outline:
                     least = height / approach
         return maximum(least, 0.0)
 
-    @cython.cfunc
-    @cython.exceptval(-1.0, check=True)
-    def nearest_within(self, nearest: cython.double, range_min: cython.double) -> cython.double:
+    def nearest_within(self, nearest: float, range_min: float) -> float:
         """The greatest range in m that the return nearest to the outline can have.
 
         `nearest` in m is the least range of the scan. The outline lies between two circles around

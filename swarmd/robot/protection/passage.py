@@ -32,7 +32,6 @@ _STEP_AHEAD = 0.05  # m
 _BESIDE_SLACK = 0.06  # m
 
 
-@cython.final
 @cython.cclass
 class Room:
     """The room that one robot needs to drive and to pass."""
@@ -52,12 +51,11 @@ class Room:
         Lengths ahead are from the axle. The length ahead is at most _FARTHEST_AHEAD, even if an
         obstacle at that distance does not allow the speed.
         """
-        i: cython.Py_ssize_t
         assumptions: Assumptions = self._assumptions
         corners = self._outline.corners
-        age: cython.double = 0.5 / self._scan.rate + self._scan.latency + REACTION
+        age = 0.5 / self._scan.rate + self._scan.latency + REACTION
         front = float(corners[:, 0].max())
-        ahead: cython.double = _FARTHEST_AHEAD
+        ahead = _FARTHEST_AHEAD
         # The nearest obstacle ahead for which the robot may still drive at `speed`.
         for i in range(round(_FARTHEST_AHEAD / _STEP_AHEAD)):
             if self._fastest_at(_STEP_AHEAD * i, front, age) >= speed:
@@ -68,11 +66,7 @@ class Room:
         keep_out = assumptions.keep_out if assumptions.has_keep_out() else 0.0
         return Clearance(ahead, max(beside, keep_out), half_width)
 
-    @cython.cfunc
-    @cython.exceptval(-1.0, check=True)
-    def _fastest_at(
-        self, distance: cython.double, front: cython.double, age: cython.double
-    ) -> cython.double:
+    def _fastest_at(self, distance: float, front: float, age: float) -> float:
         """The highest speed ahead in m/s for an obstacle `distance` m ahead of the axle.
 
         `front` in m is the front of the outline; `age` in s is that of the scan.

@@ -8,27 +8,26 @@ from __future__ import annotations
 
 from swarmd.core import cython_shadow as cython
 from swarmd.core.buffers import checked, doubles
-from swarmd.core.cython_shadow import INFINITY
+from swarmd.core.cython_shadow import INFINITY, Doubles
 from swarmd.robot.protection.constraints import ConstraintRows
 from swarmd.robot.protection.outline import CHUNK
 
-TOLERANCE = cython.declare(cython.double, 1e-12)
+TOLERANCE = 1e-12
 """By how much rounding may violate a constraint."""
 
 
-@cython.final
 @cython.cclass
 class Projection:
     """A polygon of feasible speeds, and its point nearest to a requested point."""
 
-    x: cython.double  # the nearest point
-    y: cython.double
+    x: float  # the nearest point
+    y: float
     # The corners of the polygon, `_sides` of them, and those of a polygon clipped from it.
-    _sides: cython.Py_ssize_t
-    _corner_x: cython.double[::1]
-    _corner_y: cython.double[::1]
-    _clipped_x: cython.double[::1]
-    _clipped_y: cython.double[::1]
+    _sides: int
+    _corner_x: Doubles
+    _corner_y: Doubles
+    _clipped_x: Doubles
+    _clipped_y: Doubles
     _excess: cython.double[64]  # by which the point violates each row of a chunk
 
     def __init__(self) -> None:
@@ -42,9 +41,7 @@ class Projection:
         if not 0 <= self._sides <= min(len(self._corner_x), len(self._corner_y)):
             raise ValueError(f"a polygon of {self._sides} sides in {len(self._corner_x)}")
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def project(self, rows: ConstraintRows, x: cython.double, y: cython.double) -> cython.int:
+    def project(self, rows: ConstraintRows, x: float, y: float) -> None:
         """Set `x`, `y` to the feasible point nearest to the requested point x, y. Exact.
 
         A point is the linear and the angular speed over their limits. A constraint (row) is a
@@ -53,7 +50,6 @@ class Projection:
         of the rest. The rounds end once the nearest point violates no constraint. The polygon
         always contains the origin, since the zero command is feasible.
         """
-        worst_row: cython.Py_ssize_t
         self._begin_with_box()
         self._find_nearest(x, y)
         # A row by which the polygon was clipped is not violated again, so these rounds suffice.
@@ -64,28 +60,25 @@ class Projection:
             self._clip(rows.x[worst_row], rows.y[worst_row], rows.cap[worst_row])
             self._find_nearest(x, y)
 
-    @cython.cfunc
-    @cython.exceptval(-2)
-    def _most_violated(self, rows: ConstraintRows) -> cython.Py_ssize_t:
+    def _most_violated(self, rows: ConstraintRows) -> int:
         """The row that the nearest point violates most; -1 if no row is violated.
 
         A row with an excess of NaN counts as the most violated: to clip by such a row leaves only
         the origin.
         """
-        i: cython.Py_ssize_t
-        first: cython.Py_ssize_t = 0
-        row_count: cython.Py_ssize_t = rows.all
+        first = 0
+        row_count = rows.all
         row_x = checked(rows.x, row_count)
         row_y = checked(rows.y, row_count)
         row_cap = checked(rows.cap, row_count)
         excess = self._excess
         px = self.x
         py = self.y
-        worst_row: cython.Py_ssize_t = -1
+        worst_row = -1
         worst_excess = TOLERANCE
         while first < row_count:
             # 1. The excess of each row of a chunk: the compiler vectorises this loop.
-            count: cython.Py_ssize_t = min(CHUNK, row_count - first)
+            count = min(CHUNK, row_count - first)
             for i in range(count):
                 excess[i] = row_x[first + i] * px + row_y[first + i] * py - row_cap[first + i]
             # 2. The greatest excess. Few rows are worse than all rows before them, so four rows are
@@ -110,9 +103,7 @@ class Projection:
             first += count
         return worst_row
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _begin_with_box(self) -> cython.int:
+    def _begin_with_box(self) -> None:
         """Take the box of the limits as the polygon."""
         self._corner_x[0] = 1.0
         self._corner_x[1] = 1.0
@@ -124,9 +115,7 @@ class Projection:
         self._corner_y[3] = -1.0
         self._sides = 4
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _clip(self, a: cython.double, b: cython.double, cap: cython.double) -> cython.int:
+    def _clip(self, a: float, b: float, cap: float) -> None:
         """Cut off the part of the polygon where a x + b y > cap (Sutherland and Hodgman 1974).
 
         If nothing is left, the polygon is the origin.
@@ -134,8 +123,7 @@ class Projection:
         if len(self._clipped_x) < 2 * self._sides:
             self._clipped_x = doubles(4 * self._sides)
             self._clipped_y = doubles(4 * self._sides)
-        i: cython.Py_ssize_t
-        count: cython.Py_ssize_t = 0
+        count = 0
         # Corner 0 begins and corner 1 ends the present side of the polygon.
         x0 = self._corner_x[self._sides - 1]
         y0 = self._corner_y[self._sides - 1]
@@ -166,15 +154,12 @@ class Projection:
         self._corner_x, self._clipped_x = self._clipped_x, self._corner_x
         self._corner_y, self._clipped_y = self._clipped_y, self._corner_y
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _find_nearest(self, x: cython.double, y: cython.double) -> cython.int:
+    def _find_nearest(self, x: float, y: float) -> None:
         """Set `self.x`, `self.y` to the point of the polygon nearest to the requested point x, y.
 
         A point inside the polygon, or nearer than TOLERANCE, stays as requested. The polygon may
         have shrunk to a line or a point; then no requested point is inside.
         """
-        i: cython.Py_ssize_t
         nearest_x = 0.0
         nearest_y = 0.0
         nearest_square = INFINITY
@@ -217,15 +202,12 @@ class Projection:
             self.y = nearest_y
 
 
-@cython.cfunc
-@cython.exceptval(-1)
-def is_feasible(rows: ConstraintRows, x: cython.double, y: cython.double) -> cython.int:
-    """1 if a point violates no constraint."""
-    i: cython.Py_ssize_t
+def is_feasible(rows: ConstraintRows, x: float, y: float) -> bool:
+    """True if a point violates no constraint."""
     row_x = checked(rows.x, rows.all)
     row_y = checked(rows.y, rows.all)
     row_cap = checked(rows.cap, rows.all)
-    for i in range(rows.all):
+    for i in range(rows.all):  # noqa: SIM110  # Cython makes no loop of C of a generator
         if not (row_x[i] * x + row_y[i] * y - row_cap[i] <= TOLERANCE):
-            return 0
-    return 1
+            return False
+    return True

@@ -52,30 +52,28 @@ if TYPE_CHECKING:
     from swarmd.robot.protection.modes import Mode
 
 # m/s or rad/s: what rounding leaves of a zero command
-_ZERO_TOLERANCE = cython.declare(cython.double, 1e-9)
+_ZERO_TOLERANCE = 1e-9
 _NO_POINTS = np.empty((0, 2))
 # C names: to look up a name of the module takes a tenth of the time of a decision.
-_zero = cython.declare(object, ZERO)
-_make_decision = cython.declare(object, Decision)
-_no_scan = cython.declare(object, Reason.NO_SCAN)
-_driver_lost = cython.declare(object, Reason.DRIVER_LOST)
+_zero = ZERO
+_make_decision = Decision
+_no_scan = Reason.NO_SCAN
+_driver_lost = Reason.DRIVER_LOST
 
 
-@cython.cfunc
-def _is_finite(twist: Twist) -> cython.bint:
+def _is_finite(twist: Twist) -> bool:
     """True if no speed of a Twist is NaN or infinite."""
-    linear: cython.double = twist.linear
-    angular: cython.double = twist.angular
-    lateral: cython.double = twist.lateral
+    linear = twist.linear
+    angular = twist.angular
+    lateral = twist.lateral
     return linear * 0.0 + angular * 0.0 + lateral * 0.0 == 0.0  # NaN * 0 and inf * 0 are NaN
 
 
-@cython.cfunc
-def _is_nearly_zero(twist: Twist) -> cython.bint:
+def _is_nearly_zero(twist: Twist) -> bool:
     """True if each speed of a Twist is zero, up to _ZERO_TOLERANCE."""
-    linear: cython.double = twist.linear
-    angular: cython.double = twist.angular
-    lateral: cython.double = twist.lateral
+    linear = twist.linear
+    angular = twist.angular
+    lateral = twist.lateral
     return (
         fabs(linear) <= _ZERO_TOLERANCE
         and fabs(angular) <= _ZERO_TOLERANCE
@@ -96,26 +94,26 @@ class Protection:
         mode_command: the last command of the mode, before a violated assumption reduces it.
     """
 
-    events: list[str] = cython.declare(list, visibility="readonly")
-    following: FollowingMonitor = cython.declare(object, visibility="readonly")
-    moved_at = cython.declare(cython.double, visibility="readonly")
-    mode_command: Twist = cython.declare(object, visibility="readonly")
+    events: list[str]
+    following: FollowingMonitor
+    moved_at: float
+    mode_command: Twist
     _limits: Limits
-    _mode: Mode = cython.declare(object, visibility="public")
-    _monitor: AssumptionMonitor | None = cython.declare(object, visibility="public")
+    _mode: Mode
+    _monitor: AssumptionMonitor | None
     _bounds: tuple[CommandLayer, ...]  # the layers that bound commands
-    _is_bounded: cython.bint  # a bound changed the last command that `_judge` gave
+    _is_bounded: bool  # a bound changed the last command that `_judge` gave
     _footprint: Footprint
     _geometry: ScanGeometry
-    _latency: cython.double
-    _has_walls: cython.bint  # walls that have stood are assumed to stand on
-    _is_running: cython.bint
-    _has_compared: cython.bint  # `following` has had a reading since its reset
-    _scan_seq: cython.Py_ssize_t  # of the last scan; -1 before the first
+    _latency: float
+    _has_walls: bool  # walls that have stood are assumed to stand on
+    _is_running: bool
+    _has_compared: bool  # `following` has had a reading since its reset
+    _scan_seq: int  # of the last scan; -1 before the first
     _scan: Scan | None  # the last conditioned scan; None before the first
     _scan_points: Array | None  # (k, 2) returns of the scan within a reach; None: not computed yet
     # m from the outline to the nearest return of the last scan; None without one
-    _min_gap: float | None = cython.declare(object)
+    _min_gap: float | None
     _ring_context: DecisionContext | None  # the context of `_ring_points`
     _ring_points: Array | None  # (k, 2) returns of the ring, m in the base frame; None without one
     _safe: Twist  # the last safe command, which is in force until the next decision
@@ -214,7 +212,7 @@ class Protection:
         self,
         requested: Twist | None,
         context: DecisionContext,
-        is_running: cython.bint,
+        is_running: bool,
         hold: Reason | None,
         permit: Permit = NO_PERMIT,
         steered: Steered | None = None,
@@ -249,7 +247,7 @@ class Protection:
         # 3. Steering may ask a candidate in place of the request. One that equals the request, but
         # is another object, is a replacement, too.
         candidate = clipped if steered is None else steered.twist
-        is_replaced: cython.bint = candidate is not clipped
+        is_replaced = candidate is not clipped
         # 4. For the same case in the same context each mode decides the same.
         is_recovering = steered is not None and steered.is_recovering
         speed = permit.speed
@@ -260,7 +258,7 @@ class Protection:
         mode_request = self._limits.clip(candidate) if is_replaced else candidate
         decision = self._judge(mode_request, context, touch, speed)
         twist = decision.twist
-        is_active: cython.bint = is_replaced or decision.is_active
+        is_active = is_replaced or decision.is_active
         if not _is_finite(twist):
             twist = _zero
             is_active = True
@@ -275,7 +273,6 @@ class Protection:
         self._last_case = case
         return last
 
-    @cython.ccall
     def clip(self, requested: Twist | None) -> Twist:
         """The request (Twist or None) within the limits; zero without a finite request.
 
@@ -294,13 +291,8 @@ class Protection:
         """What the mode would permit of any requested command in the situation of `context`."""
         return self._judge(self._limits.clip(requested), context, touch, None).twist
 
-    @cython.cfunc
     def _judge(
-        self,
-        request: Twist,
-        context: DecisionContext,
-        touch: TouchZone | None,
-        speed: float | None,
+        self, request: Twist, context: DecisionContext, touch: TouchZone | None, speed: float | None
     ) -> ModeDecision:
         """The decision of the mode within all bounds; sets `_is_bounded`.
 
@@ -321,7 +313,7 @@ class Protection:
                 twist = bound.limit(twist, context, command, is_even=True)
         self._is_bounded = asked is not slow or twist is not decision.twist
         bounded = twist if speed is None or twist is asked else slowed(twist, speed)
-        is_changed: cython.bint = self._is_bounded or bounded is not twist
+        is_changed = self._is_bounded or bounded is not twist
         return ModeDecision(bounded, True, decision.rows) if is_changed else decision
 
     def views(self, context: DecisionContext) -> list[LayerView | None]:
@@ -346,24 +338,22 @@ class Protection:
             points = np.concatenate((points, bound.points(context, reach)))
         return points
 
-    @cython.cfunc
     def _take_ring(self, context: DecisionContext) -> None:
         """Take in the ring's returns of a context."""
         if context is not self._ring_context:
             self._ring_points = context.near_points if context.near else None
             self._ring_context = context
 
-    @cython.cfunc
     def _decision(
         self,
         clipped_request: Twist,
         twist: Twist,
-        is_active: cython.bint,
+        is_active: bool,
         rows: tuple[LimitingObstacle, ...],
         reason: Reason | None,
         context: DecisionContext,
         steered: Steered | None,
-        is_bounded: cython.bint = False,
+        is_bounded: bool = False,
     ) -> Decision:
         """The Decision for the command `twist` of the mode; tells the monitors the safe command.
 
@@ -381,13 +371,13 @@ class Protection:
         """
         # 1. Clips the command of the mode. To save time, the request and zero are not clipped: they
         # are within the limits.
-        is_within_limits: cython.bint = twist is clipped_request or twist is _zero
+        is_within_limits = twist is clipped_request or twist is _zero
         safe = twist if is_within_limits else self._limits.clip(twist)
         self.mode_command = safe
         # 2. Reduces the command to the share that the driver gets. A share of a permitted command
         # is permitted: the constraints of the mode are convex, and permit zero.
         monitor = self._monitor
-        share: cython.double = 1.0 if monitor is None else monitor.speed_share
+        share = 1.0 if monitor is None else monitor.speed_share
         if share < 1.0:
             safe = Twist(share * safe.linear, share * safe.angular, share * safe.lateral)
         # 3. Tells the monitors, and stores the command.
@@ -416,7 +406,6 @@ class Protection:
             is_bounded != 0,
         )
 
-    @cython.cfunc
     def _least_gap(self) -> Any:
         """m from the outline to the nearest return of scan and ring; None without a return."""
         if self._ring_points is None:
@@ -425,7 +414,6 @@ class Protection:
         return ring_gap if self._min_gap is None else min(self._min_gap, ring_gap)
 
 
-@cython.final
 @cython.cclass
 class ProtectionView:
     """What steering may read of the protection of its robot. It makes no decision.

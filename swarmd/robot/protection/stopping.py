@@ -20,7 +20,7 @@ import numpy as np
 
 from swarmd.core import cython_shadow as cython
 from swarmd.core.buffers import checked, doubles, view
-from swarmd.core.cython_shadow import copysign, cos, fabs, sin, sqrt
+from swarmd.core.cython_shadow import Doubles, Table, copysign, cos, fabs, sin, sqrt
 from swarmd.core.values import Array
 from swarmd.robot.protection.barrier_assumptions import Assumptions
 from swarmd.robot.protection.closing_speed import DECISION_PERIOD
@@ -28,21 +28,21 @@ from swarmd.robot.protection.constraints import Constraints, PlacedPoints, Speed
 from swarmd.robot.protection.outline import Outline
 from swarmd.robot.protection.projection import is_feasible
 
-NEGLIGIBLE_SPEED = cython.declare(cython.double, 0.015)
+NEGLIGIBLE_SPEED = 0.015
 """m/s: closing at a speed up to this is no approach."""
-FAULT_SPEED = cython.declare(cython.double, 0.02)
+FAULT_SPEED = 0.02
 """m/s: a contact at a closing speed up to this is not a fault of the robot."""
-IDEAL_BRAKING = cython.declare(cython.double, 1e9)
+IDEAL_BRAKING = 1e9
 """m/s2 and rad/s2: an immediate stop."""
 
-_STEPS = cython.declare(cython.Py_ssize_t, 4)  # poses of a simulated stop
+_STEPS = 4  # poses of a simulated stop
 # The simulated stops: with both brakes as assumed (0), and with either brake ideal.
-_BRAKES = cython.declare(cython.Py_ssize_t, 3)
-_IDEAL_LINEAR = cython.declare(cython.Py_ssize_t, 1)
-_IDEAL_ANGULAR = cython.declare(cython.Py_ssize_t, 2)
+_BRAKES = 3
+_IDEAL_LINEAR = 1
+_IDEAL_ANGULAR = 2
 # m by which distances may be off by rounding, so that no point that matters is left out
-_ROUNDING = cython.declare(cython.double, 1e-9)
-_SPEED_ROUNDING = cython.declare(cython.double, 1e-12)  # m/s, of the fastest place
+_ROUNDING = 1e-9
+_SPEED_ROUNDING = 1e-12  # m/s, of the fastest place
 
 
 def _speed_shares() -> Array:
@@ -57,12 +57,7 @@ _SPEED_SHARES = view(_speed_shares())
 """(24, 2) shares of the two speeds, those nearest to (1, 1) first; the last pair is zero."""
 
 
-@cython.cfunc
-@cython.inline
-@cython.exceptval(check=False)
-def _slowed(
-    start: cython.double, wanted: cython.double, seconds: cython.double, rate: cython.double
-) -> cython.double:
+def _slowed(start: float, wanted: float, seconds: float, rate: float) -> float:
     """The speed `seconds` after `start`: for DECISION_PERIOD towards `wanted`, then towards zero.
 
     It changes at `rate`. NaN if `start` is NaN: such a stop is never clear.
@@ -73,7 +68,6 @@ def _slowed(
     return 0.0 if left <= 0.0 else copysign(left, speed)
 
 
-@cython.final
 @cython.cclass
 class StopMotion:
     """The pose of a base in a simulated stop, step by step.
@@ -83,23 +77,18 @@ class StopMotion:
     angle `turned` begin at 0.
     """
 
-    along_x: cython.double
-    along_y: cython.double
-    heading: cython.double  # rad, the yaw at the begin, in the frame of the place
-    x: cython.double
-    y: cython.double
-    turned: cython.double
+    along_x: float
+    along_y: float
+    heading: float  # rad, the yaw at the begin, in the frame of the place
+    x: float
+    y: float
+    turned: float
     # Of the last step: m along and aside, and rad.
-    moved: cython.double
-    aside: cython.double
-    arc: cython.double
+    moved: float
+    aside: float
+    arc: float
 
-    @cython.cfunc
-    @cython.inline
-    @cython.exceptval(check=False)
-    def begin(
-        self, along_x: cython.double, along_y: cython.double, heading: cython.double
-    ) -> cython.int:
+    def begin(self, along_x: float, along_y: float, heading: float) -> None:
         """Begin a stop."""
         self.along_x = along_x
         self.along_y = along_y
@@ -107,24 +96,20 @@ class StopMotion:
         self.x = 0.0
         self.y = 0.0
         self.turned = 0.0
-        return 0
 
-    @cython.cfunc
-    @cython.inline
-    @cython.exceptval(check=False)
     def advance(
         self,
-        middle_s: cython.double,
-        step_s: cython.double,
-        along: cython.double,
-        aside: cython.double,
-        turn: cython.double,
-        to_along: cython.double,
-        to_aside: cython.double,
-        to_turn: cython.double,
-        braking: cython.double,
-        turning: cython.double,
-    ) -> cython.int:
+        middle_s: float,
+        step_s: float,
+        along: float,
+        aside: float,
+        turn: float,
+        to_along: float,
+        to_aside: float,
+        to_turn: float,
+        braking: float,
+        turning: float,
+    ) -> None:
         """Move the pose by a step at the speeds in the middle of the step.
 
         Args:
@@ -151,19 +136,16 @@ class StopMotion:
         y = sin_yaw * self.along_x + cos_yaw * self.along_y
         self.x += self.moved * x - self.aside * y
         self.y += self.moved * y + self.aside * x
-        return 0
 
 
-@cython.final
 @cython.cclass
 class Speeds:
     """The two speeds of a command: linear in m/s along its direction, angular in rad/s."""
 
-    linear: cython.double
-    angular: cython.double
+    linear: float
+    angular: float
 
 
-@cython.final
 @cython.cclass
 class StopPoints:
     """The points that the outline could touch during a stop.
@@ -172,12 +154,12 @@ class StopPoints:
     of the stop (`needed_gap`), and how fast the obstacle moves in m/s (`others`).
     """
 
-    count: cython.Py_ssize_t
-    x: cython.double[::1]
-    y: cython.double[::1]
-    gap: cython.double[::1]
-    needed_gap: cython.double[::1]
-    others: cython.double[::1]
+    count: int
+    x: Doubles
+    y: Doubles
+    gap: Doubles
+    needed_gap: Doubles
+    others: Doubles
 
     def __init__(self) -> None:
         self._allocate(96)
@@ -188,7 +170,7 @@ class StopPoints:
         if not 0 <= self.count <= room:
             raise ValueError(f"{self.count} points beside a stop in {room}")
 
-    def _allocate(self, room: cython.Py_ssize_t) -> None:
+    def _allocate(self, room: int) -> None:
         """Make all arrays anew."""
         self.x = doubles(room)
         self.y = doubles(room)
@@ -196,14 +178,7 @@ class StopPoints:
         self.needed_gap = doubles(room)
         self.others = doubles(room)
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def collect(
-        self,
-        constraints: Constraints,
-        seconds: cython.double,
-        travel: cython.double,
-    ) -> cython.int:
+    def collect(self, constraints: Constraints, seconds: float, travel: float) -> None:
         """Replace the points by those that the outline may touch during a stop.
 
         Contacts are left out, since constraints with the cap 0 forbid all motion towards contacts.
@@ -214,10 +189,9 @@ class StopPoints:
             seconds: the duration of the stop.
             travel: m, how far a place of the outline moves at most during the stop.
         """
-        i: cython.Py_ssize_t
         placed: PlacedPoints = constraints.placed
         is_granted = constraints.touch.is_granted
-        points: cython.Py_ssize_t = placed.seen + placed.discs
+        points = placed.seen + placed.discs
         if len(self.x) < points:
             self._allocate(points + points // 2)
         free = checked(placed.free, points)
@@ -231,9 +205,9 @@ class StopPoints:
         y = checked(placed.y, points)
         to_x = checked(self.x, points)
         to_y = checked(self.y, points)
-        count: cython.Py_ssize_t = 0
+        count = 0
         for i in range(placed.contacts, points):
-            is_return: cython.bint = i < placed.seen  # the other points are discs
+            is_return = i < placed.seen  # the other points are discs
             if is_granted and is_return and placed.in_touch_zone[i]:
                 continue
             needed_gap = free[i] + others[i] * age[i]
@@ -248,7 +222,6 @@ class StopPoints:
         self.count = count
 
 
-@cython.final
 @cython.cclass
 class StopCheck:
     """Reduces speeds from which the robot cannot stop with its outline clear of obstacles."""
@@ -257,12 +230,12 @@ class StopCheck:
     _outline: Outline
     _constraints: Constraints
     _points: StopPoints
-    _shares: cython.double[:, ::1]
-    _forbidding: cython.Py_ssize_t  # the point that forbade the last speeds
+    _shares: Table
+    _forbidding: int  # the point that forbade the last speeds
     _motion: StopMotion
     # The simulated stop. At the end of each step: the pose, and the m that a place of the outline
     # has moved at most. At the begin of each step: the speeds.
-    _poses: cython.Py_ssize_t  # in the steps after these the outline is too slow to matter
+    _poses: int  # in the steps after these the outline is too slow to matter
     _stop_x: cython.double[4]
     _stop_y: cython.double[4]
     _stop_cos: cython.double[4]
@@ -289,16 +262,13 @@ class StopCheck:
         if not 0 <= self._forbidding <= len(self._points.x):
             raise ValueError(f"the point {self._forbidding} of {len(self._points.x)}")
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def limit(self, speeds: Speeds) -> cython.int:
+    def limit(self, speeds: Speeds) -> bool:
         """Reduce the speeds so that the outline stays clear while the robot brakes.
 
         The reduced speeds are shares of the requested speeds: the first pair of _SPEED_SHARES that
         satisfies all constraints and whose stop stays clear. The pairs nearest to the requested
-        speeds come first. Returns 1 if a speed changed, else 0.
+        speeds come first. Returns True if a speed changed.
         """
-        i: cython.Py_ssize_t
         assumptions: Assumptions = self._assumptions
         axes: SpeedAxes = self._constraints.axes
         linear = speeds.linear
@@ -311,12 +281,12 @@ class StopCheck:
         travel = (fabs(linear) + fabs(angular) * self._outline.radius) * seconds
         self._points.collect(self._constraints, seconds, travel)
         if self._points.count == 0:
-            return 0
+            return False
 
         # 2. Returns if the stop from the requested speeds stays clear.
         self._forbidding = 0  # the points are new, so the last index may be beyond them
         if self._is_clear(linear, angular):
-            return 0
+            return False
 
         # 3. Tries the pairs of shares; without a clear pair the speeds are 0. Each pair is compared
         # with the constraints, since a lower linear speed alone, or a lower angular speed alone,
@@ -333,22 +303,18 @@ class StopCheck:
                 speeds.linear = reduced_linear
                 speeds.angular = reduced_angular
                 break
-        is_unchanged: cython.bint = speeds.linear == linear and speeds.angular == angular
+        is_unchanged = speeds.linear == linear and speeds.angular == angular
         return not is_unchanged
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _is_clear(self, linear: cython.double, angular: cython.double) -> cython.int:
-        """1 if the outline stays clear in each of the three simulated stops from these speeds.
+    def _is_clear(self, linear: float, angular: float) -> bool:
+        """True if the outline stays clear in each of the three simulated stops from these speeds.
 
         The stops: both brakes as weak as assumed, an ideal linear brake, an ideal angular brake.
-        `linear` in m/s and `angular` in rad/s are a command. 0 if a point forbids a stop.
+        `linear` in m/s and `angular` in rad/s are a command. False if a point forbids a stop.
         """
-        i: cython.Py_ssize_t
-        brake: cython.Py_ssize_t
         speed = fabs(linear)
         turn_rate = fabs(angular)
-        count: cython.Py_ssize_t = self._points.count
+        count = self._points.count
         gap = checked(self._points.gap, count)
         needed_gap = checked(self._points.needed_gap, count)
         others = checked(self._points.others, count)
@@ -371,27 +337,17 @@ class StopCheck:
 
             # 2. Examines the point that forbade the last speeds first: it often forbids these, too.
             if self._forbids(self._forbidding, travel, step_s):
-                return 0
+                return False
 
             # 3. Examines the points that the outline can reach. A gap of NaN is not safe.
             for i in range(count):
-                is_safe: cython.bint = gap[i] >= _safe_gap(
-                    needed_gap[i], others[i], step_s * _STEPS, travel
-                )
+                is_safe = gap[i] >= _safe_gap(needed_gap[i], others[i], step_s * _STEPS, travel)
                 if not is_safe and self._forbids(i, travel, step_s):
                     self._forbidding = i
-                    return 0
-        return 1
+                    return False
+        return True
 
-    @cython.cfunc
-    @cython.exceptval(-1.0, check=True)
-    def _simulate(
-        self,
-        brake: cython.Py_ssize_t,
-        linear: cython.double,
-        angular: cython.double,
-        step_s: cython.double,
-    ) -> cython.double:
+    def _simulate(self, brake: int, linear: float, angular: float, step_s: float) -> float:
         """Simulate a stop in _STEPS steps; return the m that a place of the outline moves at most.
 
         Sets pose, travel and speeds of each step (`_stop_...`), and the number of steps in which
@@ -405,7 +361,6 @@ class StopCheck:
             angular: rad/s, of the same command.
             step_s: s, the duration of a step.
         """
-        j: cython.Py_ssize_t
         axes: SpeedAxes = self._constraints.axes
         radius = self._outline.radius
         motion: StopMotion = self._motion
@@ -449,15 +404,8 @@ class StopCheck:
                 self._poses = j + 1
         return travel
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _forbids(
-        self,
-        point: cython.Py_ssize_t,
-        travel: cython.double,
-        step_s: cython.double,
-    ) -> cython.int:
-        """1 if a point forbids the simulated stop.
+    def _forbids(self, point: int, travel: float, step_s: float) -> bool:
+        """True if a point forbids the simulated stop.
 
         A point forbids the stop in two cases: the outline closes on the point while the gap is too
         small, or the turn moves a place outwards that the obstacle can have reached.
@@ -467,7 +415,6 @@ class StopCheck:
             travel: m that a place of the outline moves at most during the stop.
             step_s: s, the duration of a step.
         """
-        j: cython.Py_ssize_t
         outline: Outline = self._outline
         points: StopPoints = self._points
         gap = points.gap[point]
@@ -478,7 +425,7 @@ class StopCheck:
         margin = self._assumptions.margin
         safe_gap = _safe_gap(needed_gap, others, step_s * _STEPS, travel)
         if gap >= safe_gap:
-            return 0
+            return False
         previous_gap = gap
         for j in range(self._poses):
             # 1. The gap at this step, with the point in the frame of the simulated pose.
@@ -492,10 +439,10 @@ class StopCheck:
 
             # 2. The outline must not close on a point whose gap is too small. At the end of the
             # step the obstacle has moved for j + 1 steps. A gap of NaN is too small, and closes.
-            is_free: cython.bint = present_gap >= needed_gap + others * (step_s * (j + 1.0))
+            is_free = present_gap >= needed_gap + others * (step_s * (j + 1.0))
             is_closing = not (previous_gap - present_gap <= NEGLIGIBLE_SPEED * step_s)
             if is_closing and not is_free:
-                return 1
+                return True
 
             # 3. The turn must not move a place outwards within the reach of the obstacle. The turn
             # acts during the whole step, so the reach is that of the middle of the step, after
@@ -503,25 +450,17 @@ class StopCheck:
             if self._stop_turns[j]:
                 reach = needed_gap - margin + others * (step_s * (j + 0.5))
                 if present_gap < reach and self._turns_outwards(j, x, y, reach):
-                    return 1
+                    return True
 
             # 4. Ends early if the gap is large enough for the rest of the stop. The outline can
             # only move the rest of `travel`, so the travel so far is added to the gap.
             if present_gap + self._stop_travel[j] >= safe_gap:
-                return 0
+                return False
             previous_gap = present_gap
-        return 0
+        return False
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _turns_outwards(
-        self,
-        pose: cython.Py_ssize_t,
-        x: cython.double,
-        y: cython.double,
-        reach: cython.double,
-    ) -> cython.int:
-        """1 if the turn of a simulated stop moves a place of the outline outwards, near a point.
+    def _turns_outwards(self, pose: int, x: float, y: float, reach: float) -> bool:
+        """True if the turn of a simulated stop moves a place of the outline outwards, near a point.
 
         Only places of the outline within `reach` m of the point are examined. The outward
         speed of a place is its speed along the outward normal of its edge. The place counts as
@@ -534,37 +473,34 @@ class StopCheck:
             y: m, of the same point.
             reach: m, how far the obstacle can have moved along the outline.
         """
-        k: cython.Py_ssize_t
         outline: Outline = self._outline
         axes: SpeedAxes = self._constraints.axes
-        edges: cython.Py_ssize_t = outline.edges
-        linear: cython.double = self._stop_linear[pose]
-        angular: cython.double = self._stop_angular[pose]
-        axis_x: cython.p_double = checked(outline.axis_x, 2 * edges)
-        axis_y: cython.p_double = checked(outline.axis_y, 2 * edges)
-        origin: cython.p_double = checked(outline.origin, 2 * edges)
-        lengths: cython.p_double = checked(outline.length, edges)
+        edges = outline.edges
+        linear = self._stop_linear[pose]
+        angular = self._stop_angular[pose]
+        axis_x = checked(outline.axis_x, 2 * edges)
+        axis_y = checked(outline.axis_y, 2 * edges)
+        origin = checked(outline.origin, 2 * edges)
+        lengths = checked(outline.length, edges)
         for k in range(edges):
-            nx: cython.double = axis_x[edges + k]
-            ny: cython.double = axis_y[edges + k]
-            above: cython.double = nx * x + ny * y - origin[edges + k]
+            nx = axis_x[edges + k]
+            ny = axis_y[edges + k]
+            above = nx * x + ny * y - origin[edges + k]
             if not above < reach:  # the whole edge is out of reach
                 continue
-            length: cython.double = lengths[k]
-            along: cython.double = axis_x[k] * x + axis_y[k] * y - origin[k]
+            length = lengths[k]
+            along = axis_x[k] * x + axis_y[k] * y - origin[k]
 
             # 1. The part of the edge within reach, from `first` to `last` in m along the edge.
-            first: cython.double
-            last: cython.double
             if above > 0.0:  # outside the line of the edge: a circle around the point cuts the line
-                half_chord: cython.double = sqrt(reach * reach - above * above)
+                half_chord = sqrt(reach * reach - above * above)
                 first = along - half_chord
                 last = along + half_chord
             else:  # inside the line of the edge: the obstacle moves around the nearer corner
-                beyond: cython.double = -along if along < 0.0 else along - length
+                beyond = -along if along < 0.0 else along - length
                 if not beyond > 0.0:
                     continue
-                rest: cython.double = reach - sqrt(beyond * beyond + above * above)
+                rest = reach - sqrt(beyond * beyond + above * above)
                 if not rest > 0.0:
                     continue
                 first = 0.0 if along < 0.0 else length - rest
@@ -577,24 +513,16 @@ class StopCheck:
             # 2. The outward speed of the place of this part that the turn moves outwards fastest.
             # Along the edge, the outward speed by the turn falls by `angular` m/s for each m, so
             # this place is an end of the part.
-            fastest_place: cython.double = first if angular > 0.0 else last
-            corner_lever: cython.double = outline.corner_x[k] * ny - outline.corner_y[k] * nx
-            turn_speed: cython.double = angular * (corner_lever - fastest_place)
-            linear_speed: cython.double = linear * (axes.along_x * nx + axes.along_y * ny)
+            fastest_place = first if angular > 0.0 else last
+            corner_lever = outline.corner_x[k] * ny - outline.corner_y[k] * nx
+            turn_speed = angular * (corner_lever - fastest_place)
+            linear_speed = linear * (axes.along_x * nx + axes.along_y * ny)
             if turn_speed > FAULT_SPEED and turn_speed + linear_speed > FAULT_SPEED:
-                return 1
-        return 0
+                return True
+        return False
 
 
-@cython.cfunc
-@cython.inline
-@cython.exceptval(check=False)
-def _safe_gap(
-    needed_gap: cython.double,
-    others: cython.double,
-    seconds: cython.double,
-    travel: cython.double,
-) -> cython.double:
+def _safe_gap(needed_gap: float, others: float, seconds: float, travel: float) -> float:
     """The gap in m at which a point cannot matter in a stop of `seconds` s; nor at a greater gap.
 
     `needed_gap`: m that the point must keep at the begin of the stop. `others`: m/s, of the

@@ -6,36 +6,28 @@ obstacles (envelope.py). Units: m, in the base frame.
 
 from __future__ import annotations
 
-from swarmd.core import cython_shadow as cython
-from swarmd.core.cython_shadow import NAN, hypot
+from swarmd.core.cython_shadow import NAN, Doubles, hypot
 from swarmd.robot.protection.outline import Outline
 
-SURFACE_SPACING = cython.declare(cython.double, 0.05)
+SURFACE_SPACING = 0.05
 """m: two neighbouring returns within this distance are of one surface."""
-WIDE_SURFACE = cython.declare(cython.double, 0.3)
+WIDE_SURFACE = 0.3
 """m: a surface of at least this width is wide. A lidar above the bodies of robots sees parts of
 them that are 6 to 11 cm wide."""
-MEAN_RAYS = cython.declare(cython.Py_ssize_t, 5)
+MEAN_RAYS = 5
 """Returns to either side that give the mean place of a return, at most: the noise of one ray (sd
 1 cm) becomes 0.3 cm. Before an edge that points at the robot the mean is too far: a TurtleBot 4 by
 1.3 cm before an edge of 90 degrees, and by 2.5 cm before one of 60 degrees."""
-EDGE_RAYS = cython.declare(cython.Py_ssize_t, 2)
+EDGE_RAYS = 2
 """Returns to either side of a second mean, which counts where it is nearer: less than half as much
 too far before an edge."""
-MEAN_BELOW = cython.declare(cython.double, 0.1)
+MEAN_BELOW = 0.1
 """m: a return with a greater gap keeps its own place."""
 
 
-@cython.cfunc
-@cython.exceptval(-1)
 def find_surface_gaps(
-    x: cython.double[::1],
-    y: cython.double[::1],
-    gap: cython.double[::1],
-    count: cython.Py_ssize_t,
-    outline: Outline,
-    surface_gap: cython.double[::1],
-) -> cython.int:
+    x: Doubles, y: Doubles, gap: Doubles, count: int, outline: Outline, surface_gap: Doubles
+) -> None:
     """Set the gap in m of each return to the wide surface that it is on; NaN: it is on none.
 
     A surface is a run of returns, of which each two neighbours are at most SURFACE_SPACING apart.
@@ -45,9 +37,8 @@ def find_surface_gaps(
 
     `x`, `y`, `gap`: of the first `count` near returns of a scan, in the order of their rays.
     """
-    i: cython.Py_ssize_t
-    begin: cython.Py_ssize_t = 0
-    start: cython.Py_ssize_t = 0
+    begin = 0
+    start = 0
     # 1. The first return behind a step from one surface to the next, so that no run is cut.
     for i in range(count):
         if _is_step(x, y, i - 1 if i > 0 else count - 1, i):
@@ -55,12 +46,12 @@ def find_surface_gaps(
             break
     # 2. Each run, with the box around its returns.
     while begin < count:
-        at: cython.Py_ssize_t = (start + begin) % count
+        at = (start + begin) % count
         low_x = x[at]
         high_x = x[at]
         low_y = y[at]
         high_y = y[at]
-        end: cython.Py_ssize_t = begin + 1
+        end = begin + 1
         while end < count:
             at = (start + end) % count
             if _is_step(x, y, (start + end - 1) % count, at):
@@ -70,48 +61,33 @@ def find_surface_gaps(
             low_y = min(low_y, y[at])
             high_y = max(high_y, y[at])
             end += 1
-        is_wide: cython.bint = hypot(high_x - low_x, high_y - low_y) >= WIDE_SURFACE
+        is_wide = hypot(high_x - low_x, high_y - low_y) >= WIDE_SURFACE
         for i in range(begin, end):
             at = (start + i) % count
             surface_gap[at] = gap[at] if is_wide else NAN
             if is_wide and gap[at] < MEAN_BELOW:
-                neighbours: cython.Py_ssize_t = min(i - begin, end - 1 - i)
-                near_ends: cython.Py_ssize_t = min(neighbours, EDGE_RAYS)
+                neighbours = min(i - begin, end - 1 - i)
+                near_ends = min(neighbours, EDGE_RAYS)
                 surface_gap[at] = min(
                     _gap_of_mean(x, y, at, neighbours, count, outline),
                     _gap_of_mean(x, y, at, near_ends, count, outline),
                 )
         begin = end
-    return 0
 
 
-@cython.cfunc
-@cython.exceptval(-1, check=False)
-def _is_step(
-    x: cython.double[::1], y: cython.double[::1], i: cython.Py_ssize_t, j: cython.Py_ssize_t
-) -> cython.int:
-    """1 if returns `i` and `j` are farther apart than the returns of one surface, or one is NaN."""
+def _is_step(x: Doubles, y: Doubles, i: int, j: int) -> bool:
+    """True if returns `i` and `j` are farther apart than those of one surface, or one is NaN."""
     return not hypot(x[i] - x[j], y[i] - y[j]) <= SURFACE_SPACING
 
 
-@cython.cfunc
-@cython.exceptval(-1.0, check=True)
-def _gap_of_mean(
-    x: cython.double[::1],
-    y: cython.double[::1],
-    at: cython.Py_ssize_t,
-    most: cython.Py_ssize_t,
-    count: cython.Py_ssize_t,
-    outline: Outline,
-) -> cython.double:
+def _gap_of_mean(x: Doubles, y: Doubles, at: int, most: int, count: int, outline: Outline) -> float:
     """The gap in m of the mean place of return `at` and of up to `most` returns to either side.
 
     The mean of gaps would be too great where a corner of the outline points at the surface.
     """
-    i: cython.Py_ssize_t
-    reach: cython.Py_ssize_t = min(most, MEAN_RAYS)
-    total: cython.Py_ssize_t = 2 * reach + 1
-    first: cython.Py_ssize_t = at - reach + count
+    reach = min(most, MEAN_RAYS)
+    total = 2 * reach + 1
+    first = at - reach + count
     sum_x = 0.0
     sum_y = 0.0
     for i in range(total):

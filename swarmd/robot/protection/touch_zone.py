@@ -11,32 +11,28 @@ import numpy as np
 
 from swarmd.core import cython_shadow as cython
 from swarmd.core.buffers import view
-from swarmd.core.cython_shadow import cos, sin
+from swarmd.core.cython_shadow import Table, cos, sin
 from swarmd.core.values import Array, TouchZone
 
 _SAME_FACE = 1e-9  # m by which corners of one face may differ
 _TOUCH_STEP = math.radians(15.0)  # directions between two of these are at most 1 % faster
 
 
-@cython.final
 @cython.cclass
 class TouchSector:
     """The granted touch zone as numbers of the kernel; no zone is granted at first."""
 
     zone: TouchZone | None  # as it was granted, or None
-    is_granted: cython.bint
-    speed: cython.double  # m/s
-    x: cython.double  # the middle direction
-    y: cython.double
-    least_cos: cython.double  # cosine of the angle between the middle and the border of the zone
-    corners: cython.double[
-        :, ::1
-    ]  # (n, 4) nx, ny, x, y: a direction, and the corner foremost in it
+    is_granted: bool
+    speed: float  # m/s
+    x: float  # the middle direction
+    y: float
+    least_cos: float  # cosine of the angle between the middle and the border of the zone
+    corners: Table  # (n, 4) nx, ny, x, y: a direction, and the corner foremost in it
 
     def __init__(self) -> None:
         self.corners = view(np.empty((0, 4)))
 
-    @cython.cfunc
     def grant(self, zone: TouchZone | None, corners: Array) -> None:
         """Grant a zone to a robot with the outline `corners` (k, 2); None: no zone."""
         self.zone = zone
@@ -48,10 +44,7 @@ class TouchSector:
             self.y = sin(zone.bearing)
             self.corners = view(np.stack(touch_directions(corners, zone), 1))
 
-    @cython.cfunc
-    @cython.inline
-    @cython.exceptval(check=False)
-    def holds(self, normal_x: cython.double, normal_y: cython.double) -> cython.bint:
+    def holds(self, normal_x: float, normal_y: float) -> bool:
         """True for a direction within the sector."""
         return normal_x * self.x + normal_y * self.y >= self.least_cos
 

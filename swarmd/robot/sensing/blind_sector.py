@@ -31,7 +31,18 @@ from numpy.typing import NDArray
 from swarmd.core import cython_shadow as cython
 from swarmd.core.angles import TURN
 from swarmd.core.buffers import checked, checked_indices, flags, indices, scratch, view_of
-from swarmd.core.cython_shadow import INFINITY, NAN, fabs, floor, hypot, isnan, remainder, rint
+from swarmd.core.cython_shadow import (
+    INFINITY,
+    NAN,
+    Doubles,
+    Indices,
+    fabs,
+    floor,
+    hypot,
+    isnan,
+    remainder,
+    rint,
+)
 from swarmd.core.values import Array, Odometry, ScanSpec
 from swarmd.robot.sensing.sector_history import (
     EQUAL,
@@ -45,39 +56,39 @@ if TYPE_CHECKING:
     from swarmd.core.values import Pose
 
 # Sectors of 4 degrees, of the sensor and of the directions around it.
-_SECTORS = cython.declare(cython.Py_ssize_t, SECTORS)
-_COMPARE_PERIOD = cython.declare(cython.double, 0.95)  # s between two looks, at least
+_SECTORS = SECTORS
+_COMPARE_PERIOD = 0.95  # s between two looks, at least
 # Directions, each a sector wide, in which a blind sector must have missed an object.
-_MIN_MISSED = cython.declare(cython.Py_ssize_t, 8)
-_MAX_TIME = cython.declare(cython.double, 15.0)  # s after which a seen object is forgotten
+_MIN_MISSED = 8
+_MAX_TIME = 15.0  # s after which a seen object is forgotten
 # Share of the range by which the robot may move, since motion changes directions to objects.
-_MAX_MOTION = cython.declare(cython.double, 0.25)
+_MAX_MOTION = 0.25
 # An object is the same if its range changes by at most this share of the range plus so many m.
-_SAME_SHARE = cython.declare(cython.double, 0.25)
-_SAME_M = cython.declare(cython.double, 0.1)
+_SAME_SHARE = 0.25
+_SAME_M = 0.1
 # Looks (comparisons of a scan) in a row that see a static object, before and after a ray misses it.
-_STREAK = cython.declare(cython.int, 3)
+_STREAK = 3
 # Scans in a row with a return, after which a blind sector is trusted again.
-_CLEARING_SCANS = cython.declare(cython.int, 3)
+_CLEARING_SCANS = 3
 
 # Why a sector is blind.
-_MISSED = cython.declare(cython.uchar, 1)
-_LOST = cython.declare(cython.uchar, 2)
-_BLOCKED = cython.declare(cython.uchar, 3)
-_FROZEN = cython.declare(cython.uchar, 4)
+_MISSED = 1
+_LOST = 2
+_BLOCKED = 3
+_FROZEN = 4
 _REASONS = {
     1: "have not returned anything for {since:.0f} s while others did",
     2: "have lost their returns at once",
     3: "return nothing, and the base does not move into their direction",
     4: "return equal ranges while the robot moves and others change",
 }
-_least_sectors = cython.declare(cython.Py_ssize_t, LEAST_SECTORS)
+_least_sectors = LEAST_SECTORS
 # Share of range_max within which a surface certainly returns something again.
-_SURE_SHARE = cython.declare(cython.double, 0.8)
-_OTHERS_SPEED = cython.declare(cython.double, 0.5)  # m/s at which an edge of a surface may move
-_LOOK_WAY = cython.declare(cython.double, 0.3)  # m between two looks for frozen sectors
-_LOOK_TURN = cython.declare(cython.double, 0.5)  # rad, the same
-_STEADY_TURN = cython.declare(cython.double, 0.1)  # rad in a scan: its rays fit one pose
+_SURE_SHARE = 0.8
+_OTHERS_SPEED = 0.5  # m/s at which an edge of a surface may move
+_LOOK_WAY = 0.3  # m between two looks for frozen sectors
+_LOOK_TURN = 0.5  # rad, the same
+_STEADY_TURN = 0.1  # rad in a scan: its rays fit one pose
 _BLOCKED_WIDTH = 2  # sectors without a return on each side of the direction of the command
 _SILENCE = 2.0  # s without a return in these sectors
 _BLOCKED_REACH = SECTORS // 4  # sectors on each side that are blind then
@@ -93,23 +104,23 @@ class BlindSectors:
     it is not.
     """
 
-    text: str = cython.declare(object, visibility="readonly")
-    kinds: NDArray[np.uint8] = cython.declare(object, visibility="readonly")
-    _is_used: cython.bint
-    _compared_at: cython.double
-    _compared_yaw: cython.double
+    text: str
+    kinds: NDArray[np.uint8]
+    _is_used: bool
+    _compared_at: float
+    _compared_yaw: float
     _spec: ScanSpec
-    _range_min: cython.double
-    _range_max: cython.double
-    _is_zero_near: cython.bint
+    _range_min: float
+    _range_max: float
+    _is_zero_near: bool
     _bearings_of_scan: Array | None
-    _bearings: cython.const_double[::1]
-    _sector: cython.longlong[::1]  # of each ray
-    _direction: cython.longlong[::1]
-    _is_return: cython.uchar[::1]
-    _kind: cython.uchar[::1]  # of `kinds`
+    _bearings: Doubles
+    _sector: Indices  # of each ray
+    _direction: Indices
+    _is_return: Indices
+    _kind: Indices  # of `kinds`
     _returned_array: Array  # the array of `_returned_at`
-    _returned_at: cython.double[::1]  # by sector
+    _returned_at: Doubles  # by sector
     _return_streak: cython.longlong[90]  # scans in a row with a return
     # By direction: range of the object last seen there, from where (x, y), in how many comparisons
     # in a row, and when.
@@ -130,17 +141,16 @@ class BlindSectors:
     # scan, in the scan before, and in the last look for frozen sectors; the frozen range.
     _has_rays: NDArray[np.bool_]
     _means: Array
-    _mean: cython.double[::1]  # of `_means`
+    _mean: Doubles  # of `_means`
     _mean_before: cython.double[90]
     _look_means: Array
     _frozen: Array
     # The poses of the robot at the scan before and at the last look; None before the first.
     _scan_pose: Pose | None
     _look_pose: Pose | None
-    _scan_at: cython.double  # s, time of the scan before
+    _scan_at: float  # s, time of the scan before
 
     def __init__(self, spec: ScanSpec) -> None:
-        k: cython.Py_ssize_t
         self._spec = spec
         self._is_used = len(spec.bearings) >= _SECTORS
         self.text = ""
@@ -166,27 +176,17 @@ class BlindSectors:
 
     def check_indices(self) -> None:
         """ValueError unless each ray is in one of the sectors, for a serialised robot."""
-        i: cython.Py_ssize_t
         for i in range(len(self._sector)):
             if not 0 <= self._sector[i] < _SECTORS:
                 raise ValueError(f"ray {i} is in sector {self._sector[i]} of {_SECTORS}")
 
-    def take(
-        self, ranges: Array, bearings: Array, odometry: Odometry | None, now: cython.double
-    ) -> Array:
+    def take(self, ranges: Array, bearings: Array, odometry: Odometry | None, now: float) -> Array:
         """The raw ranges (n,) of a scan, with NaN for rays of blind sectors without a return."""
         known = np.array(ranges, np.float64)
         self.mark(view_of(known), bearings, odometry, now)
         return known
 
-    @cython.cfunc
-    def mark(
-        self,
-        given: cython.double[::1],
-        bearings: Array,
-        odometry: Odometry | None,
-        now: cython.double,
-    ) -> None:
+    def mark(self, given: Doubles, bearings: Array, odometry: Odometry | None, now: float) -> None:
         """Set NaN for rays of blind sectors without a return."""
         if not self._is_used:
             return
@@ -204,28 +204,24 @@ class BlindSectors:
             self.text = blind_text(self.kinds, self._returned_array, now)
         if not self.text:
             return
-        i: cython.Py_ssize_t
         for i in range(len(given)):
-            kind: cython.uchar = self._kind[self._sector[i]]
+            kind = self._kind[self._sector[i]]
             if kind and (kind == _FROZEN or not self._is_return[i]):
                 given[i] = NAN
 
-    @cython.cfunc
-    def _keep_scan(self, pose: Pose, now: cython.double) -> cython.int:
+    def _keep_scan(self, pose: Pose, now: float) -> None:
         """Keep the scan for the next: pose, time, and means at which a return is certain."""
-        k: cython.Py_ssize_t
         for k in range(_SECTORS):
-            is_sure: cython.bint = self._mean[k] <= _SURE_SHARE * self._range_max
+            is_sure = self._mean[k] <= _SURE_SHARE * self._range_max
             self._mean_before[k] = self._mean[k] if is_sure else NAN
         self._scan_pose = pose
         self._scan_at = now
 
-    @cython.cfunc
-    def _look_from(self, ranges: cython.double[::1], pose: Pose, now: cython.double) -> cython.bint:
+    def _look_from(self, ranges: Doubles, pose: Pose, now: float) -> bool:
         """Look for blind sectors in a scan from a pose of the robot; true if one is new."""
         before = self._scan_pose or pose
         look = self._look_pose or pose
-        yaw: cython.double = pose.yaw
+        yaw = pose.yaw
         turned = remainder(yaw - before.yaw, TURN)
         is_new = False
         # 1. Sectors that have lost their returns: mostly too few for a look.
@@ -238,7 +234,7 @@ class BlindSectors:
         self._keep_scan(pose, now)
         # 2. Sectors that have frozen since the last look.
         way = hypot(pose.x - look.x, pose.y - look.y)
-        has_turned: cython.bint = fabs(remainder(yaw - look.yaw, TURN)) >= _LOOK_TURN
+        has_turned = fabs(remainder(yaw - look.yaw, TURN)) >= _LOOK_TURN
         if fabs(turned) <= _STEADY_TURN and (way >= _LOOK_WAY or has_turned):
             if way < self._range_max:
                 frozen = frozen_sectors(self._means, self._look_means, pose, look)
@@ -250,21 +246,19 @@ class BlindSectors:
             is_new = True
         return is_new
 
-    @cython.cfunc
-    def _count_gone(self, turned: cython.double) -> cython.Py_ssize_t:
+    def _count_gone(self, turned: float) -> int:
         """How many sectors return nothing, of those that `lost_sectors` may find.
 
         The scan before showed something in the direction of such a sector, and on both sides of it.
         While a robot turns among others, most sectors without a return are edges of a surface.
         `turned`: rad since the scan before.
         """
-        k: cython.Py_ssize_t
-        count: cython.Py_ssize_t = 0
-        shift: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, rint(turned / (TURN / _SECTORS)))
+        count = 0
+        shift = cython.cast(cython.Py_ssize_t, rint(turned / (TURN / _SECTORS)))
         for k in range(_SECTORS):
             if not isnan(self._mean[k]):
                 continue
-            place: cython.Py_ssize_t = k + shift + _SECTORS
+            place = k + shift + _SECTORS
             is_shown = not (
                 isnan(self._mean_before[(place - 1) % _SECTORS])
                 or isnan(self._mean_before[place % _SECTORS])
@@ -273,8 +267,7 @@ class BlindSectors:
             count += is_shown
         return count
 
-    @cython.cfunc
-    def _mark(self, is_blind: NDArray[np.bool_], kind: cython.uchar) -> cython.bint:
+    def _mark(self, is_blind: NDArray[np.bool_], kind: int) -> bool:
         """Mark sectors (90,) as blind, except those that are so already; true if any is new."""
         is_new = is_blind & (self.kinds == 0)
         self.kinds[is_new] = kind
@@ -325,7 +318,6 @@ class BlindSectors:
         Two scans have no common frame then. Sectors that are blind stay so: they were found by
         earlier motion.
         """
-        k: cython.Py_ssize_t
         self._look_means[:] = NAN
         self._scan_pose = None
         self._look_pose = None
@@ -338,11 +330,9 @@ class BlindSectors:
             self._pending[k] = False
             self._missed[k] = False
 
-    @cython.cfunc
     def _set_bearings(self, bearings: Array) -> None:
         """Set the sector of each ray, and which sectors have rays that are not masked."""
-        i: cython.Py_ssize_t
-        n: cython.Py_ssize_t = len(bearings)
+        n = len(bearings)
         self._bearings_of_scan = bearings
         self._bearings = view_of(bearings)
         self._sector = indices(n)
@@ -353,15 +343,12 @@ class BlindSectors:
         free = np.asarray(self._sector)[~self._spec.masked(bearings)]
         self._has_rays[:] = np.bincount(free, minlength=_SECTORS) > 0
 
-    @cython.cfunc
-    def _find_returns(self, ranges: cython.double[::1]) -> cython.int:
+    def _find_returns(self, ranges: Doubles) -> None:
         """Set which rays are returns; by sector of the sensor, `_hits` and `_mean` of the returns.
 
         A return that is too close to measure counts as one at `range_min`.
         """
-        i: cython.Py_ssize_t
-        k: cython.Py_ssize_t
-        count: cython.Py_ssize_t = len(ranges)
+        count = len(ranges)
         given = checked(ranges, count)
         sector = checked_indices(self._sector, count)
         for k in range(_SECTORS):
@@ -369,7 +356,7 @@ class BlindSectors:
             self._sums[k] = 0.0
         for i in range(count):
             distance = given[i]
-            is_return: cython.bint = (0.0 < distance <= self._range_max) or distance == -INFINITY
+            is_return = (0.0 < distance <= self._range_max) or distance == -INFINITY
             is_return = is_return or (self._is_zero_near and distance == 0.0)
             self._is_return[i] = is_return
             if is_return:
@@ -379,16 +366,14 @@ class BlindSectors:
         for k in range(_SECTORS):
             self._mean[k] = self._sums[k] / self._hits[k] if self._hits[k] else NAN
 
-    @cython.cfunc
-    def _count_returns(self, now: cython.double) -> cython.bint:
+    def _count_returns(self, now: float) -> bool:
         """Count scans in a row with a return in each sector; true if a sector is blind no more.
 
         The ranges in which a sector is frozen are no returns.
         """
-        k: cython.Py_ssize_t
         has_cleared = False
         for k in range(_SECTORS):
-            has_return: cython.bint = self._hits[k] > 0
+            has_return = self._hits[k] > 0
             if self._kind[k] == _FROZEN and fabs(self._mean[k] - self._frozen[k]) <= EQUAL:
                 has_return = False
             self._return_streak[k] = self._return_streak[k] + 1 if has_return else 0
@@ -399,8 +384,7 @@ class BlindSectors:
                 has_cleared = True
         return has_cleared
 
-    @cython.cfunc
-    def _is_due(self, yaw: cython.double, now: cython.double) -> cython.bint:
+    def _is_due(self, yaw: float, now: float) -> bool:
         """Begin a comparison if the robot has turned by a sector since the last; True if begun."""
         turned = fabs(remainder(yaw - self._compared_yaw, TURN))
         if now - self._compared_at < _COMPARE_PERIOD or turned < TURN / _SECTORS:
@@ -409,21 +393,12 @@ class BlindSectors:
         self._compared_yaw = yaw
         return True
 
-    @cython.cfunc
-    def _compare_scan(
-        self,
-        ranges: cython.double[::1],
-        x: cython.double,
-        y: cython.double,
-        yaw: cython.double,
-        now: cython.double,
-    ) -> cython.bint:
+    def _compare_scan(self, ranges: Doubles, x: float, y: float, yaw: float, now: float) -> bool:
         """Compare what each sector of the sensor returns with what other sectors returned there.
 
         True if a further sector is blind now. `x`, `y`, `yaw` are the pose of the robot.
         """
-        d: cython.Py_ssize_t
-        doubts: cython.int = 0  # 0: no sector waits, and none has missed an object, as mostly
+        doubts = 0  # 0: no sector waits, and none has missed an object, as mostly
         for d in range(_SECTORS * _SECTORS):
             doubts |= self._pending[d] | self._missed[d]
         self._sum_by_direction(ranges, yaw)
@@ -435,11 +410,8 @@ class BlindSectors:
         self._await_confirmation()
         return self._judge_sectors() if doubts else False
 
-    @cython.cfunc
-    def _sum_by_direction(self, ranges: cython.double[::1], yaw: cython.double) -> cython.int:
+    def _sum_by_direction(self, ranges: Doubles, yaw: float) -> None:
         """Set rays, hits and the sum of ranges in each direction of the odometry frame."""
-        i: cython.Py_ssize_t
-        d: cython.Py_ssize_t
         for d in range(_SECTORS):
             self._rays[d] = 0
             self._hits[d] = 0
@@ -451,15 +423,7 @@ class BlindSectors:
                 self._hits[d] += 1
                 self._sums[d] += max(ranges[i], self._range_min)
 
-    @cython.cfunc
-    def _compare_direction(
-        self,
-        d: cython.Py_ssize_t,
-        x: cython.double,
-        y: cython.double,
-        now: cython.double,
-        doubts: cython.int,
-    ) -> cython.int:
+    def _compare_direction(self, d: int, x: float, y: float, now: float, doubts: int) -> None:
         """Compare the returns in the direction `d` (an index) with the object last seen there.
 
         An object is seen if all rays in the direction have a return. An object is static once
@@ -470,26 +434,25 @@ class BlindSectors:
 
         `x`, `y`: m, the place of the robot. `now`: s. `doubts`: 0 if no sector waits or has missed.
         """
-        k: cython.Py_ssize_t
 
         # 1. Is an object seen in the direction, and is it the object that was seen last?
         distance = self._sums[d] / max(self._hits[d], 1)
-        is_seen: cython.bint = 0 < self._rays[d] == self._hits[d]  # has rays, and all return
-        is_same: cython.bint = is_seen and (
+        is_seen = 0 < self._rays[d] == self._hits[d]  # has rays, and all return
+        is_same = is_seen and (
             fabs(distance - self._range[d]) <= _SAME_M + _SAME_SHARE * self._range[d]
         )
-        is_new: cython.bint = is_seen and not is_same
+        is_new = is_seen and not is_same
         # The number of comparisons in a row that saw this object.
         if is_same:
             self._streak[d] += 1
         else:
             self._streak[d] = 1 if is_new else 0
-        has_streak: cython.bint = self._streak[d] >= _STREAK
+        has_streak = self._streak[d] >= _STREAK
 
         # 2. The wait of sectors ends: with a miss if the known object has proved to be static
         # again, without a miss if the object is a new object, or is no longer known.
-        is_static: cython.bint = self._is_known[d] != 0 and has_streak
-        is_decided: cython.bint = is_static or is_new or not self._is_known[d]
+        is_static = self._is_known[d] != 0 and has_streak
+        is_decided = is_static or is_new or not self._is_known[d]
         for k in range(_SECTORS if doubts else 0):
             if self._return_streak[k]:  # a sector that has returns now is not blind
                 self._pending[_SECTORS * d + k] = False
@@ -508,24 +471,16 @@ class BlindSectors:
             self._x[d] = x
             self._y[d] = y
 
-    @cython.cfunc
-    def _await_confirmation(self) -> cython.int:
+    def _await_confirmation(self) -> None:
         """Mark sectors that miss a known object: this counts once the object is seen again."""
-        i: cython.Py_ssize_t
-        d: cython.Py_ssize_t
-        k: cython.Py_ssize_t
         for i in range(len(self._sector)):
             d = self._direction[i]
             k = self._sector[i]
             if self._is_known[d] and not self._hits[d] and not self._return_streak[k]:
                 self._pending[_SECTORS * d + k] = True
 
-    @cython.cfunc
-    def _judge_sectors(self) -> cython.bint:
+    def _judge_sectors(self) -> bool:
         """Sectors that have missed things in many directions are blind; true if one is new."""
-        d: cython.Py_ssize_t
-        k: cython.Py_ssize_t
-        count: cython.Py_ssize_t
         is_new = False
         for k in range(_SECTORS):
             count = 0
@@ -537,13 +492,9 @@ class BlindSectors:
         return is_new
 
 
-@cython.cfunc
-@cython.inline
-def _sector_of(angle: cython.double) -> cython.longlong:
+def _sector_of(angle: float) -> int:
     """The sector of an angle, from 0 to 89."""
-    sector: cython.longlong = cython.cast(
-        cython.longlong, floor(angle * (1.0 / (TURN / _SECTORS)) + 1e-6)
-    )
+    sector = cython.cast(cython.longlong, floor(angle * (1.0 / (TURN / _SECTORS)) + 1e-6))
     sector %= _SECTORS
     return sector + _SECTORS if sector < 0 else sector
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from swarmd.core import cython_shadow as cython
 from swarmd.core.buffers import view_of
-from swarmd.core.cython_shadow import INFINITY, NAN, isfinite
+from swarmd.core.cython_shadow import INFINITY, NAN, Doubles, isfinite
 from swarmd.core.messages import Reason
 from swarmd.core.values import ZERO, Array, Odometry, Scan, ScanSpec
 from swarmd.robot.sensing.blind_sector import BlindSectors
@@ -25,12 +25,12 @@ COMPARED_SCANS = 4  # with which a repeat is compared: a driver may resend any o
 MIN_DISTINCT_RETURNS = 8  # a noisy sensor never gives this many equal returns twice
 
 # Scans in order after which a lower sequence or stamp counts as a restart.
-_RESTART_SCANS = cython.declare(cython.int, 3)
-_MAX_RAY_AGE = cython.declare(cython.double, 10.0)  # s: more is garbage
-_MOVES_LINEAR = cython.declare(cython.double, 0.02)  # m/s above which the robot counts as moving
-_MOVES_ANGULAR = cython.declare(cython.double, 0.05)  # rad/s
+_RESTART_SCANS = 3
+_MAX_RAY_AGE = 10.0  # s: more is garbage
+_MOVES_LINEAR = 0.02  # m/s above which the robot counts as moving
+_MOVES_ANGULAR = 0.05  # rad/s
 # s within which a driver knows of a second source of scans; behind a bridge of ROS 0.6 to 1.7 s.
-_NOTICE = cython.declare(cython.double, 4.0)
+_NOTICE = 4.0
 
 
 @cython.cclass
@@ -53,11 +53,11 @@ class ScanConditioner:
     - CLOCK_SET: a new sequence number, but a stamp below an earlier stamp
     """
 
-    _max_sector: cython.double  # rad without rays
+    _max_sector: float  # rad without rays
     _range_min: Any
     _range_max: Any
     _latency: Any
-    _is_noisy: cython.bint
+    _is_noisy: bool
     _spec: ScanSpec
     _bearings: Array  # (n,) rad, of the last scan whose bearings were valid
     _ages: (
@@ -68,17 +68,17 @@ class ScanConditioner:
     # Ranges, number and stamp of the last scan; the greatest number and stamp so far.
     _last_ranges: Array
     _last_seq: Any
-    _last_stamp: cython.double
+    _last_stamp: float
     _newest_seq: Any
-    _newest_stamp: cython.double
-    _rising_scans: cython.int  # scans that follow each other, below the greatest
+    _newest_stamp: float
+    _rising_scans: int  # scans that follow each other, below the greatest
     _recent_bytes: list[bytes]  # the bytes of the last different ranges
-    _repeat_count: cython.int  # repeats in a row
-    _has_conflict: cython.bint  # scans or odometry come from two sources
+    _repeat_count: int  # repeats in a row
+    _has_conflict: bool  # scans or odometry come from two sources
     # Blind sectors and far returns at `_kept_at`, and at least _NOTICE s before.
     _kept: tuple[Any, int]
     _kept_before: tuple[Any, int]
-    _kept_at: cython.double
+    _kept_at: float
 
     def __init__(self, spec: ScanSpec, *, guesses_near: bool = True) -> None:
         """`guesses_near`: a zero of an LDS beside a near ray counts as too close."""
@@ -141,13 +141,13 @@ class ScanConditioner:
         self._kept = self._kept_before
         self._kept_at = now
 
-    def take(self, scan: Scan, odometry: Odometry | None, now: cython.double) -> Scan | Reason:
+    def take(self, scan: Scan, odometry: Odometry | None, now: float) -> Scan | Reason:
         """Condition a scan; return the conditioned scan, or the reason to reject the scan.
 
         `scan`: the raw scan of the driver. `odometry`: the last reading; None without a reading.
         `now`: s on this machine's clock, the arrival of the scan.
         """
-        stamp: cython.double = scan.stamp
+        stamp = scan.stamp
         # `_has_form` also stores the scan's bearings and ages, as `_bearings` and `_ages`.
         if not isfinite(stamp) or not self._has_form(scan):
             return Reason.INVALID_SCAN
@@ -159,14 +159,14 @@ class ScanConditioner:
         # repeat is implausible for a sensor that measures. `_is_repeat` also counts the repeats in
         # `_repeat_count`.
         ranges = np.array(scan.ranges, np.float64)  # a copy, which the steps below change
-        values: cython.double[::1] = view_of(ranges)  # the same numbers as a buffer
+        values: Doubles = view_of(ranges)  # the same numbers as a buffer
         measured_at = now
         if self._is_noisy and self._is_repeat(ranges, values, odometry):
             if self._repeat_count >= MAX_REPEATS:
                 return Reason.FROZEN_SCAN
             measured_at = self._rays.known_at  # a repeat has no new data
 
-        yaw: cython.double = NAN
+        yaw = NAN
         if odometry is not None:
             yaw = odometry.pose.yaw
         # Both steps write into `values`, and so into `ranges`: `mark` makes rays of blind sectors
@@ -191,22 +191,20 @@ class ScanConditioner:
         latency = self._latency
         return Scan(scan.seq, stamp, ranges, bearings, *limits, ages, latency, filled)
 
-    @cython.cfunc
-    def _has_form(self, scan: Scan) -> cython.bint:
+    def _has_form(self, scan: Scan) -> bool:
         """Store the bearings and ages of a scan; False if lengths, bearings or ages are wrong."""
         ranges = scan.ranges
         bearings = scan.bearings
         if ranges.ndim != 1 or len(ranges) == 0:
             return False
         # The array of an earlier scan was checked with that scan.
-        is_new: cython.bint = bearings is not self._bearings
+        is_new = bearings is not self._bearings
         if is_new and (ranges.shape != bearings.shape or not self._takes_bearings(bearings)):
             return False
-        n: cython.Py_ssize_t = len(ranges)
+        n = len(ranges)
         return n == len(self._bearings) and self._takes_ages(scan.ages, n)
 
-    @cython.cfunc
-    def _takes_bearings(self, bearings: Array) -> cython.bint:
+    def _takes_bearings(self, bearings: Array) -> bool:
         """Store the bearings as `_bearings`; False, and nothing is stored, if they are not valid.
 
         They are not valid if one is not finite, or if they leave a sector without rays. `_bearings`
@@ -222,8 +220,7 @@ class ScanConditioner:
             self._bearings = bearings
         return True
 
-    @cython.cfunc
-    def _takes_ages(self, ages: Array | None, n: cython.Py_ssize_t) -> cython.bint:
+    def _takes_ages(self, ages: Array | None, n: int) -> bool:
         """Store the ages of `n` rays, or that no ray has one; False for a wrong number or age."""
         if ages is not None and ages is not self._ages:
             if ages.shape != (n,) or not ((ages >= 0.0) & (ages <= _MAX_RAY_AGE)).all():
@@ -236,8 +233,7 @@ class ScanConditioner:
         self._ages = ages
         return ages is None or len(ages) == n
 
-    @cython.cfunc
-    def _not_newer(self, seq: Any, stamp: cython.double, ranges: Array) -> Reason | None:
+    def _not_newer(self, seq: Any, stamp: float, ranges: Array) -> Reason | None:
         """Store number, stamp and ranges of a scan; the reason to reject it, or None.
 
         None: the scan is newer than all scans before. The reasons are FROZEN_SCAN, FROZEN_STAMP and
@@ -245,9 +241,9 @@ class ScanConditioner:
         accepted once _RESTART_SCANS scans in a row have rising numbers and stamps again.
         """
         # Newer than the last scan; a number above all numbers so far.
-        is_next: cython.bint = stamp > self._last_stamp and seq > self._last_seq
-        has_same_stamp: cython.bint = stamp == self._last_stamp
-        is_new_message: cython.bint = seq > self._newest_seq
+        is_next = stamp > self._last_stamp and seq > self._last_seq
+        has_same_stamp = stamp == self._last_stamp
+        is_new_message = seq > self._newest_seq
         before = self._last_ranges
         self._last_ranges = ranges
         self._last_seq = seq
@@ -265,10 +261,7 @@ class ScanConditioner:
         self._newest_stamp = stamp
         return None
 
-    @cython.cfunc
-    def _is_repeat(
-        self, ranges: Array, values: cython.double[::1], odometry: Odometry | None
-    ) -> cython.bint:
+    def _is_repeat(self, ranges: Array, values: Doubles, odometry: Odometry | None) -> bool:
         """Count a repeat of a noisy sensor in `_repeat_count`; False if the scan is no repeat.
 
         A repeat has the ranges of one of the last COMPARED_SCANS different scans. A repeat with
@@ -285,16 +278,15 @@ class ScanConditioner:
             return False
 
         # 2. Repeated ranges count if the scan has enough returns.
-        i: cython.Py_ssize_t
-        return_count: cython.int = 0
+        return_count = 0
         for i in range(len(values)):
             return_count += isfinite(values[i]) and values[i] != 0.0
         twist = ZERO if odometry is None else odometry.twist
-        is_moving: cython.bint = (
+        is_moving = (
             max(abs(twist.linear), abs(twist.lateral)) > _MOVES_LINEAR
             or abs(twist.angular) > _MOVES_ANGULAR
         )
-        needed_returns: cython.int = 1 if is_moving else MIN_DISTINCT_RETURNS
+        needed_returns = 1 if is_moving else MIN_DISTINCT_RETURNS
         if return_count < needed_returns:
             return False
         self._repeat_count += 1

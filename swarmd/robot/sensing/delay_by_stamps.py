@@ -25,52 +25,52 @@ LONGEST_SHARED = 5.0
 MAX_LEAD = -0.05
 """Seconds: a scan with a lower age by its stamp counts as stamped by another clock."""
 
-_STAMPS = cython.declare(cython.Py_ssize_t, 20)  # scans: the delay is their third greatest age
-_MIN_STAMPS = cython.declare(cython.Py_ssize_t, 5)  # scans before stamps give a figure
+_STAMPS = 20  # scans: the delay is their third greatest age
+_MIN_STAMPS = 5  # scans before stamps give a figure
 # The lowest lags of odometry are kept for so many periods of so many s.
-_PERIODS = cython.declare(cython.Py_ssize_t, 4)
-_PERIOD_TIME = cython.declare(cython.double, 0.5)
+_PERIODS = 4
+_PERIOD_TIME = 0.5
 # s after a jump of the stamps until it is judged again whether scan and odometry share a clock.
-_RESTART_TIME = cython.declare(cython.double, 2.5)
+_RESTART_TIME = 2.5
 # s: if the lag changes by more from each period to the next, the clock is not real time.
-_MAX_DRIFT = cython.declare(cython.double, 0.005)
+_MAX_DRIFT = 0.005
 # s by which odometry gets later at once, or earlier: its clock was set then.
-_CLOCK_JUMP = cython.declare(cython.double, 0.1)
-_MAX_AGE = cython.declare(cython.double, LONGEST_SHARED)
+_CLOCK_JUMP = 0.1
+_MAX_AGE = LONGEST_SHARED
 # s, the greatest age that is kept, so that a status can show the age after a clock was set.
-_LONGEST_AGE = cython.declare(cython.double, 1000.0)
-_MAX_LEAD = cython.declare(cython.double, MAX_LEAD)
+_LONGEST_AGE = 1000.0
+_MAX_LEAD = MAX_LEAD
 
 
 @cython.cclass
 class DelayByStamps:
     """The delay of one sensor's scans by stamps. Times in s."""
 
-    offset: cython.double  # the least arrival minus stamp of recent odometry; inf: none
+    offset: float  # the least arrival minus stamp of recent odometry; inf: none
     # True after a jump of the stamps, until it is known again whether scan and odometry share a
     # clock. Meanwhile a scan that seems late counts as late.
-    is_restarting: cython.bint
+    is_restarting: bool
     _spec: ScanSpec
-    _restart_ends: cython.double
-    _scan_count: cython.Py_ssize_t  # that came since the restart
-    _stamp: cython.double  # of the last reading of odometry
-    _scan_stamp: cython.double
+    _restart_ends: float
+    _scan_count: int  # that came since the restart
+    _stamp: float  # of the last reading of odometry
+    _scan_stamp: float
     # Lags of odometry: its arrival minus its stamp.
-    _lowest: cython.double  # of this period
-    _lowest_before: cython.double  # of the two periods before it
-    _period_ends: cython.double  # the end of this period
-    _drifts: cython.bint  # the clock of odometry does not run at real time
+    _lowest: float  # of this period
+    _lowest_before: float  # of the two periods before it
+    _period_ends: float  # the end of this period
+    _drifts: bool  # the clock of odometry does not run at real time
     _minima: cython.double[4]  # of the last periods
-    _period_count: cython.Py_ssize_t
+    _period_count: int
     # Ages of the last scans, the oldest at `_oldest`; when the last one arrived.
     _ages: cython.double[20]
-    _age_count: cython.Py_ssize_t
-    _oldest: cython.Py_ssize_t
-    _last_scan_at: cython.double
-    _is_shared: cython.bint  # scan and odometry have one clock
+    _age_count: int
+    _oldest: int
+    _last_scan_at: float
+    _is_shared: bool  # scan and odometry have one clock
     _reason_text: str  # why stamps give no delay
     _ages_of_rays: Array | None  # those of the last scan
-    _lead: cython.double  # of scans with these ages
+    _lead: float  # of scans with these ages
 
     def __init__(self, spec: ScanSpec) -> None:
         self._spec = spec
@@ -86,19 +86,18 @@ class DelayByStamps:
 
     def check_indices(self) -> None:
         """ValueError unless its counts are of its arrays, for a serialised robot."""
-        is_of_ages: cython.bint = 0 <= self._age_count <= _STAMPS and 0 <= self._oldest < _STAMPS
+        is_of_ages = 0 <= self._age_count <= _STAMPS and 0 <= self._oldest < _STAMPS
         if not (is_of_ages and 0 <= self._period_count <= _PERIODS):
             raise ValueError(
                 f"{self._age_count} ages from {self._oldest}, {self._period_count} periods"
             )
 
-    @cython.cfunc
-    def read(self, stamp: cython.double, now: cython.double) -> cython.bint:
+    def read(self, stamp: float, now: float) -> bool:
         """Take in the stamp of a reading of odometry; True if its clock was set."""
         if stamp == self._stamp:
             return False
         lag = now - stamp
-        is_set: cython.bint = stamp < self._stamp or lag < self.offset - _CLOCK_JUMP < INFINITY
+        is_set = stamp < self._stamp or lag < self.offset - _CLOCK_JUMP < INFINITY
         self._stamp = stamp
         if is_set:
             self._period_count = 0
@@ -113,33 +112,28 @@ class DelayByStamps:
         self.offset = min(self._lowest, self._lowest_before)
         return is_set
 
-    @cython.cfunc
-    def goes_back(self, stamp: cython.double, now: cython.double) -> cython.bint:
+    def goes_back(self, stamp: float, now: float) -> bool:
         """Take in the stamp of a scan; true if its clock was set back."""
-        is_back: cython.bint = stamp < self._scan_stamp
+        is_back = stamp < self._scan_stamp
         self._scan_stamp = stamp
         if is_back:
             self._restart(now)
         return is_back
 
-    @cython.cfunc
-    def _restart(self, now: cython.double) -> cython.int:
+    def _restart(self, now: float) -> None:
         """Drop all ages, and judge the clocks again after _RESTART_TIME."""
         self._age_count = 0
         self._scan_count = 0
         self.is_restarting = True
         self._restart_ends = now + _RESTART_TIME
 
-    @cython.cfunc
-    def _end_period(self, now: cython.double) -> cython.int:
+    def _end_period(self, now: float) -> None:
         """End a period of odometry: store its lowest lag, and begin the next period.
 
         A lag is the arrival minus the stamp of a reading. Sets `_lowest_before`, the lowest lag of
         the last two periods, and `_drifts`: the lowest lags of all periods rise or fall steadily,
         so the clock of odometry does not run at real time.
         """
-        k: cython.Py_ssize_t
-        change: cython.double
 
         # 1. Appends the lowest lag; the oldest lag is dropped.
         if self._lowest < INFINITY:
@@ -153,7 +147,7 @@ class DelayByStamps:
         self._period_ends = now + _PERIOD_TIME
 
         # 2. The lowest lag of the last two periods (inf: no period has had a reading so far).
-        previous_lowest: cython.double = self._lowest_before
+        previous_lowest = self._lowest_before
         self._lowest_before = INFINITY
         for k in range(max(self._period_count - 2, 0), self._period_count):
             self._lowest_before = min(self._lowest_before, self._minima[k])
@@ -163,16 +157,15 @@ class DelayByStamps:
             self._age_count = 0
 
         # 3. A clock that does not run at real time, such as the clock of a slow simulator.
-        rise_count: cython.int = 0
-        fall_count: cython.int = 0
+        rise_count = 0
+        fall_count = 0
         for k in range(1, self._period_count):
             change = self._minima[k] - self._minima[k - 1]
             rise_count += change > _MAX_DRIFT
             fall_count += change < -_MAX_DRIFT
         self._drifts = rise_count == _PERIODS - 1 or fall_count == _PERIODS - 1
 
-    @cython.cfunc
-    def take(self, scan: Scan, now: cython.double) -> cython.double:
+    def take(self, scan: Scan, now: float) -> float:
         """Take in a scan that arrived at `now`; its delay in s, 0 if stamps do not give a delay."""
         if self.offset == INFINITY:
             return 0.0
@@ -180,8 +173,8 @@ class DelayByStamps:
         if ages is not self._ages_of_rays:  # usually the same object as in the last scan
             self._ages_of_rays = ages
             self._lead = lead(scan, self._spec)
-        stamp: cython.double = scan.stamp
-        age: cython.double = now - self.offset - stamp - self._lead
+        stamp = scan.stamp
+        age = now - self.offset - stamp - self._lead
         self._scan_count += 1
         if self.is_restarting and now > self._restart_ends and self._scan_count > _MIN_STAMPS:
             self.is_restarting = False
@@ -198,8 +191,7 @@ class DelayByStamps:
         self._is_shared = self._age_count > 0
         return self._delay()
 
-    @cython.cfunc
-    def _store_age(self, age: cython.double) -> cython.int:
+    def _store_age(self, age: float) -> None:
         """Keep the age of a scan, in place of the oldest one if the array is full."""
         if self._age_count < _STAMPS:
             self._ages[(self._oldest + self._age_count) % _STAMPS] = age
@@ -208,15 +200,13 @@ class DelayByStamps:
             self._ages[self._oldest] = age
             self._oldest = (self._oldest + 1) % _STAMPS
 
-    @cython.cfunc
-    def _delay(self) -> cython.double:
+    def _delay(self) -> float:
         """The third-greatest age of the last scans, and at least the age of the last scan."""
         # The three greatest ages so far.
         first = -INFINITY
         second = -INFINITY
         third = -INFINITY
         age = 0.0
-        k: cython.Py_ssize_t
         for k in range(self._age_count):
             age = self._ages[(self._oldest + k) % _STAMPS]
             if age > first:
@@ -232,8 +222,7 @@ class DelayByStamps:
             third = second if self._age_count == 2 else first
         return max(third, age)
 
-    @cython.cfunc
-    def figure(self, now: cython.double) -> DelayFigure:
+    def figure(self, now: float) -> DelayFigure:
         """The mean delay of the last scans with its standard deviation, or why there is none."""
         if not self._is_shared or not self._age_count:
             why = "too few scans yet" if self._age_count else self._reason_text
@@ -241,7 +230,6 @@ class DelayByStamps:
         ages = [self._ages[(self._oldest + k) % _STAMPS] for k in range(self._age_count)]
         return figure_of(ages, max(now - self._last_scan_at, 0.0))
 
-    @cython.cfunc
     def _forget(self, why: str) -> None:
         self._age_count = 0
         self._is_shared = False

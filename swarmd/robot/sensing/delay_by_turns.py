@@ -20,6 +20,7 @@ from swarmd.core.buffers import scratch, view
 from swarmd.core.cython_shadow import (
     INFINITY,
     NAN,
+    Doubles,
     ceil,
     fabs,
     floor,
@@ -34,98 +35,98 @@ if TYPE_CHECKING:
     from swarmd.core.values import Array, Pose, Scan
 
 # Candidate delays: 0 to _LONGEST_DELAY s.
-_CANDIDATES = cython.declare(cython.Py_ssize_t, 49)
-_LONGEST_DELAY = cython.declare(cython.double, 1.2)
-_DELAY_STEP = cython.declare(cython.double, 1.2 / 48)
+_CANDIDATES = 49
+_LONGEST_DELAY = 1.2
+_DELAY_STEP = 1.2 / 48
 # Headings that are kept, and s between two of them, at least.
-_HISTORY = cython.declare(cython.Py_ssize_t, 96)
-_SPACING = cython.declare(cython.double, 0.02)
+_HISTORY = 96
+_SPACING = 0.02
 # The rate of turn changes if it differs by so many rad/s from its running mean; the mean follows
 # each reading by this share of the difference.
-_MIN_RATE_CHANGE = cython.declare(cython.double, 0.15)
-_MEAN_WEIGHT = cython.declare(cython.double, 0.1)
-_CHANGE_LASTS = cython.declare(cython.double, 1.2 + 0.5)  # s for which such a change counts
-_MAX_SCAN_PERIOD = cython.declare(cython.double, 0.5)  # s from one scan to the next
+_MIN_RATE_CHANGE = 0.15
+_MEAN_WEIGHT = 0.1
+_CHANGE_LASTS = 1.2 + 0.5  # s for which such a change counts
+_MAX_SCAN_PERIOD = 0.5  # s from one scan to the next
 # rad by which the turns of the candidates must differ, or a pair of scans is not used.
-_MIN_TURN_SPREAD = cython.declare(cython.double, 0.06)
+_MIN_TURN_SPREAD = 0.06
 # rad by which the search for the turn goes beyond the turns of all candidates.
-_MARGIN = cython.declare(cython.double, 0.25)
+_MARGIN = 0.25
 # rad; beyond it a square room looks like itself.
-_MAX_SEARCHED = cython.declare(cython.double, 1.2)
+_MAX_SEARCHED = 1.2
 # m between two scans: a shift of near things looks like a turn.
-_MAX_SHIFT = cython.declare(cython.double, 0.03)
-_MIN_RAYS = cython.declare(cython.Py_ssize_t, 90)
+_MAX_SHIFT = 0.03
+_MIN_RAYS = 90
 # Rays are even if each step differs by less than this share from the mean, and if they miss a full
 # turn by less than so many steps.
-_UNEVEN_SHARE = cython.declare(cython.double, 0.1)
-_MISSED_STEPS = cython.declare(cython.double, 1.5)
+_UNEVEN_SHARE = 0.1
+_MISSED_STEPS = 1.5
 # m; farther returns count as this range.
-_MAX_RANGE = cython.declare(cython.double, 6.0)
+_MAX_RANGE = 6.0
 # m, standard deviation of ranges below which a scene has no features.
-_MIN_RELIEF = cython.declare(cython.double, 0.1)
+_MIN_RELIEF = 0.1
 # Correlation of two scans at the turn that was measured.
-_MIN_CORRELATION = cython.declare(cython.double, 0.6)
+_MIN_CORRELATION = 0.6
 # Weight of earlier pairs, for each new one: some 50 count.
-_FORGETTING = cython.declare(cython.double, 0.98)
-_MIN_PAIRS = cython.declare(cython.double, 8.0)
+_FORGETTING = 0.98
+_MIN_PAIRS = 8.0
 # rad, least standard deviation of a measured turn: moving objects turn a scene so far, for seconds.
-_MIN_SPREAD = cython.declare(cython.double, 0.025)
+_MIN_SPREAD = 0.025
 # Factor on the spread, as errors of pairs are not independent: 1.7 in simulation.
-_ALIKE = cython.declare(cython.double, 2.0)
-_MIN_DELAY_SPREAD = cython.declare(cython.double, 0.005)  # s
-_SQUARED_DEVIATIONS = cython.declare(cython.double, 9.0)  # three deviations
+_ALIKE = 2.0
+_MIN_DELAY_SPREAD = 0.005  # s
+_SQUARED_DEVIATIONS = 9.0  # three deviations
 # s of candidates within three deviations: a wider one is no figure.
-_MAX_INTERVAL = cython.declare(cython.double, 0.2)
-_LOWEST_SCALE = cython.declare(cython.double, 0.85)  # of odometry
-_HIGHEST_SCALE = cython.declare(cython.double, 1.15)
-_MIN_SQUARE = cython.declare(cython.double, 1e-12)  # rad2: a scale needs turns
+_MAX_INTERVAL = 0.2
+_LOWEST_SCALE = 0.85  # of odometry
+_HIGHEST_SCALE = 1.15
+_MIN_SQUARE = 1e-12  # rad2: a scale needs turns
 # Pairs after which only each fourth scan is compared with the one before it.
-_ENOUGH_PAIRS = cython.declare(cython.Py_ssize_t, 20)
+_ENOUGH_PAIRS = 20
 
 
 @cython.cclass
 class DelayByTurns:
     """The delay of one sensor's scans by turns. Times in s, angles in rad, ranges in m."""
 
-    delay: cython.double  # NaN while not known
-    spread: cython.double
-    at: cython.double  # when the last pair of scans was compared
-    pairs: cython.Py_ssize_t  # of scans compared
+    delay: float  # NaN while not known
+    spread: float
+    at: float  # when the last pair of scans was compared
+    pairs: int  # of scans compared
     why: str  # why the delay is not known
     _pose: Pose  # the last one by odometry
     # The headings kept: places `_first` to `_end` of the arrays.
-    _times: cython.double[::1]
-    _yaws: cython.double[::1]  # turned since the start, not wrapped
-    _first: cython.Py_ssize_t
-    _end: cython.Py_ssize_t
-    _stamp: cython.double  # of the last heading
-    _yaw: cython.double
-    _turned: cython.double  # turned so far
-    _mean_rate: cython.double
-    _changed_at: cython.double
+    _times: Doubles
+    _yaws: Doubles  # turned since the start, not wrapped
+    _first: int
+    _end: int
+    _stamp: float  # of the last heading
+    _yaw: float
+    _turned: float  # turned so far
+    _mean_rate: float
+    _changed_at: float
     _bearings: Array | None
-    _rays: cython.Py_ssize_t
-    _ray_step: cython.double  # from ray to ray; 0: rays do not cover a full turn evenly
+    _rays: int
+    _ray_step: float  # from ray to ray; 0: rays do not cover a full turn evenly
     # The last scan: arrival on the clock of odometry, place of the robot, and the ranges less their
     # mean (repeated twice, for a circular correlation) with their norm. Then the ranges and the
     # norm of the scan before.
-    _scan_count: cython.Py_ssize_t
-    _has_last: cython.bint
-    _scan_at: cython.double
-    _x: cython.double
-    _y: cython.double
-    _relief: cython.double[::1]
-    _norm: cython.double
-    _old_relief: cython.double[::1]
-    _old_norm: cython.double
+    _scan_count: int
+    _has_last: bool
+    _scan_at: float
+    _x: float
+    _y: float
+    _relief: Doubles
+    _norm: float
+    _old_relief: Doubles
+    _old_norm: float
     # By candidate delay: the turn by odometry, and the squared error of all pairs.
     _turns: cython.double[49]
     _errors: cython.double[49]
     # Weighted sums over pairs of products of the measured turn m and the predicted turn p.
-    _mm: cython.double
+    _mm: float
     _mp: cython.double[49]
     _pp: cython.double[49]
-    _weight: cython.double
+    _weight: float
 
     def __init__(self) -> None:
         self.delay = NAN
@@ -140,12 +141,11 @@ class DelayByTurns:
         """ValueError unless its ranges are those of its rays, as `_correlation` reads them."""
         ray = fabs(self._ray_step)
         lengths = len(self._relief), len(self._old_relief), 2 * self._rays
-        is_even: cython.bint = ray == 0.0 or fabs(ray * self._rays - TURN) < _MISSED_STEPS * ray
+        is_even = ray == 0.0 or fabs(ray * self._rays - TURN) < _MISSED_STEPS * ray
         if self._rays < 0 or min(lengths) != max(lengths) or not is_even:
             raise ValueError(f"{self._rays} rays at steps of {ray} rad, {lengths} ranges")
 
-    @cython.cfunc
-    def figure(self, now: cython.double) -> DelayFigure:
+    def figure(self, now: float) -> DelayFigure:
         """The delay, or why it is not known."""
         if isnan(self.delay):
             return DelayFigure(method="turns", text=self.why)
@@ -157,10 +157,8 @@ class DelayByTurns:
             age=max(now - self.at, 0.0),
         )
 
-    @cython.cfunc
     def forget(self) -> None:
         """Drop the delay and all pairs, and begin the measurement anew."""
-        k: cython.Py_ssize_t
         self.delay = NAN
         self.pairs = 0
         self._mm = 0.0
@@ -170,7 +168,6 @@ class DelayByTurns:
             self._pp[k] = 0.0
         self.why = "its last figure was older than a minute"
 
-    @cython.cfunc
     def forget_headings(self) -> None:
         """Drop the headings, as when the clock of odometry was set."""
         self._first = 0
@@ -178,10 +175,7 @@ class DelayByTurns:
         self._stamp = -INFINITY
         self._has_last = False
 
-    @cython.cfunc
-    def read(
-        self, stamp: cython.double, yaw: cython.double, rate: cython.double, pose: Pose
-    ) -> None:
+    def read(self, stamp: float, yaw: float, rate: float, pose: Pose) -> None:
         """Take in a reading of odometry: its heading, and whether the rate of turn changes."""
         self._mean_rate += _MEAN_WEIGHT * (rate - self._mean_rate)
         if fabs(rate - self._mean_rate) > _MIN_RATE_CHANGE:
@@ -189,7 +183,6 @@ class DelayByTurns:
         self._pose = pose
         if stamp - self._stamp < _SPACING:
             return
-        i: cython.Py_ssize_t
         if self._end == 4 * _HISTORY:
             for i in range(_HISTORY):
                 self._times[i] = self._times[3 * _HISTORY + i]
@@ -205,8 +198,7 @@ class DelayByTurns:
         self._end += 1
         self._first = max(self._first, self._end - _HISTORY)
 
-    @cython.cfunc
-    def compare(self, scan: Scan, arrival: cython.double, now: cython.double) -> None:
+    def compare(self, scan: Scan, arrival: float, now: float) -> None:
         """Compare a scan with the scan before: the measured turn of the robot updates the delay.
 
         A pair of scans is used only if the rate of turn changed lately, the robot hardly moved, and
@@ -229,11 +221,11 @@ class DelayByTurns:
 
         # 2. With enough pairs, only the first two of four scans make a pair, to save time.
         self._scan_count += 1
-        saves_time: cython.bint = self.pairs >= _ENOUGH_PAIRS
-        place_in_four: cython.Py_ssize_t = self._scan_count % 4
+        saves_time = self.pairs >= _ENOUGH_PAIRS
+        place_in_four = self._scan_count % 4
         if saves_time and place_in_four > 1:
             return
-        is_first: cython.bint = not had_last or (saves_time and place_in_four == 0)
+        is_first = not had_last or (saves_time and place_in_four == 0)
 
         # 3. Stores this scan. Skips a pair that is too far apart in time or place.
         previous_arrival = self._scan_at
@@ -255,7 +247,6 @@ class DelayByTurns:
 
         # 4. The turns that the candidates predict must differ, and be small enough to measure.
         self._predict_turns(previous_arrival, arrival)
-        k: cython.Py_ssize_t
         least = INFINITY
         most = -INFINITY
         for k in range(_CANDIDATES):
@@ -268,12 +259,10 @@ class DelayByTurns:
             self._add(turn)
             self.at = now
 
-    @cython.cfunc
-    def _predict_turns(self, before: cython.double, at: cython.double) -> cython.int:
+    def _predict_turns(self, before: float, at: float) -> None:
         """Set the turn by odometry between the arrivals of two scans, for each candidate delay."""
-        k: cython.Py_ssize_t
-        begin: cython.Py_ssize_t = self._end - 1
-        end: cython.Py_ssize_t = self._end - 1
+        begin = self._end - 1
+        end = self._end - 1
         for k in range(_CANDIDATES):
             delay = _DELAY_STEP * k
             while end > self._first and self._times[end] > at - delay:
@@ -282,7 +271,6 @@ class DelayByTurns:
                 begin -= 1
             self._turns[k] = self._heading(end, at - delay) - self._heading(begin, before - delay)
 
-    @cython.cfunc
     def _set_bearings(self, bearings: Array) -> None:
         """Take other bearings, with the angle from one ray to the next if they are even."""
         self._bearings = bearings
@@ -290,8 +278,8 @@ class DelayByTurns:
         self._ray_step = 0.0
         steps = np.diff(np.unwrap(bearings))
         if self._rays >= _MIN_RAYS:
-            step: cython.double = steps.mean()
-            is_even: cython.bint = np.abs(steps - step).max() < _UNEVEN_SHARE * fabs(step)
+            step = steps.mean()
+            is_even = np.abs(steps - step).max() < _UNEVEN_SHARE * fabs(step)
             if is_even and fabs(fabs(step) * self._rays - TURN) < _MISSED_STEPS * fabs(step):
                 self._ray_step = step
         if self._ray_step == 0.0:
@@ -299,7 +287,6 @@ class DelayByTurns:
         self._relief = scratch(2 * self._rays)
         self._old_relief = scratch(2 * self._rays)
 
-    @cython.cfunc
     def _store_ranges(self, scan: Scan) -> None:
         """Store the relief of a scan (its ranges less their mean), and the norm of the relief.
 
@@ -307,13 +294,12 @@ class DelayByTurns:
         for a ray without a return: a far range there would count as a feature of the room, but lost
         rays and a blind sector do not turn with the room. The relief before becomes `_old_relief`.
         """
-        ranges: cython.const_double[::1] = view(scan.ranges)
-        range_min: cython.double = scan.range_min
-        range_max: cython.double = scan.range_max
-        count: cython.Py_ssize_t = self._rays
-        i: cython.Py_ssize_t
-        return_count: cython.Py_ssize_t = 0
-        mean: cython.double = 0.0
+        ranges: Doubles = view(scan.ranges)
+        range_min = scan.range_min
+        range_max = scan.range_max
+        count = self._rays
+        return_count = 0
+        mean = 0.0
         square_sum = 0.0
         self._relief, self._old_relief = self._old_relief, self._relief
         self._old_norm = self._norm
@@ -324,14 +310,13 @@ class DelayByTurns:
                 return_count += 1
         mean /= max(return_count, 1)
         for i in range(count):
-            is_return: cython.bint = range_min <= ranges[i] <= range_max
+            is_return = range_min <= ranges[i] <= range_max
             relief[i] = min(ranges[i], _MAX_RANGE) - mean if is_return else 0.0
             relief[count + i] = relief[i]
             square_sum += relief[i] * relief[i]
         self._norm = sqrt(square_sum)
 
-    @cython.cfunc
-    def _heading(self, k: cython.Py_ssize_t, at: cython.double) -> cython.double:
+    def _heading(self, k: int, at: float) -> float:
         """The heading at a time between heading k and the next heading, interpolated."""
         before = self._times[k]
         if at <= before or k == self._end - 1:
@@ -339,8 +324,7 @@ class DelayByTurns:
         slope = (self._yaws[k + 1] - self._yaws[k]) / (self._times[k + 1] - before)
         return slope * (at - before) + self._yaws[k]
 
-    @cython.cfunc
-    def _measured_turn(self, low: cython.double, high: cython.double) -> cython.double:
+    def _measured_turn(self, low: float, high: float) -> float:
         """The turn in rad between the last two scans, by circular correlation of their ranges.
 
         Only turns from `low` to `high` are tried. A turn of the robot by k rays to the left shifts
@@ -354,10 +338,9 @@ class DelayByTurns:
 
         # 1. The shift in rays with the greatest correlation.
         step = fabs(self._ray_step)
-        first: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, floor(low / step))
-        last: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, ceil(high / step))
-        shift: cython.Py_ssize_t
-        best: cython.Py_ssize_t = first
+        first = cython.cast(cython.Py_ssize_t, floor(low / step))
+        last = cython.cast(cython.Py_ssize_t, ceil(high / step))
+        best = first
         greatest = -INFINITY
         for shift in range(first, last + 1):
             correlation = self._correlation(shift)
@@ -373,17 +356,14 @@ class DelayByTurns:
         after = self._correlation(best + 1)
         return (best + 0.5 * (before - after) / (before - 2.0 * greatest + after)) * step
 
-    @cython.cfunc
-    @cython.boundscheck(False)
-    def _correlation(self, shift: cython.Py_ssize_t) -> cython.double:
+    def _correlation(self, shift: int) -> float:
         """The correlation of the last two scans for a turn by `shift` rays, at most n."""
-        n: cython.Py_ssize_t = self._rays
-        first: cython.Py_ssize_t = shift if self._ray_step > 0.0 else -shift
+        n = self._rays
+        first = shift if self._ray_step > 0.0 else -shift
         if first < 0:
             first += n
         old = self._old_relief
         new = self._relief
-        i: cython.Py_ssize_t
         a = 0.0
         b = 0.0
         c = 0.0
@@ -397,11 +377,9 @@ class DelayByTurns:
             a += old[first + i] * new[i]
         return (a + b) + (c + d)
 
-    @cython.cfunc
-    def _add(self, turn: cython.double) -> None:
+    def _add(self, turn: float) -> None:
         """Add a measured turn and the predicted turns; sets the errors of candidates, `delay`."""
-        k: cython.Py_ssize_t
-        best: cython.Py_ssize_t = 0
+        best = 0
         self._mm = _FORGETTING * self._mm + turn * turn
         self._weight = _FORGETTING * self._weight + 1.0
         for k in range(_CANDIDATES):
@@ -420,8 +398,7 @@ class DelayByTurns:
         self.why = "its turns do not tell one delay from another"
         self._set_delay(best)
 
-    @cython.cfunc
-    def _set_delay(self, best: cython.Py_ssize_t) -> cython.int:
+    def _set_delay(self, best: int) -> None:
         """Set delay and spread by a parabola through the errors around the best candidate.
 
         `best` is the index of the candidate delay with the least squared error. Nothing is set if
@@ -432,20 +409,20 @@ class DelayByTurns:
         variance = self._errors[best] / (self._weight - 2.0)
         variance = max(variance, _MIN_SPREAD * _MIN_SPREAD)
         error_limit = self._errors[best] + _SQUARED_DEVIATIONS * variance
-        lowest: cython.Py_ssize_t = 0
-        highest: cython.Py_ssize_t = _CANDIDATES - 1
+        lowest = 0
+        highest = _CANDIDATES - 1
         while self._errors[lowest] > error_limit:
             lowest += 1
         while self._errors[highest] > error_limit:
             highest -= 1
         if highest == _CANDIDATES - 1 or (highest - lowest) * _DELAY_STEP > _MAX_INTERVAL:
-            return 0
+            return
 
         # 2. The minimum of the parabola through the best candidate and its two neighbours. If the
         # first candidate is the best, the second is the middle. The last candidate is never the
         # best here: step 1 returns then. The curvature gives the standard deviation, which _ALIKE
         # widens.
-        middle: cython.Py_ssize_t = max(best, 1)
+        middle = max(best, 1)
         error_before = self._errors[middle - 1]
         error_after = self._errors[middle + 1]
         curvature = error_before - 2.0 * self._errors[middle] + error_after

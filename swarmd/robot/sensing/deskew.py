@@ -21,12 +21,12 @@ import numpy as np
 from swarmd.core import cython_shadow as cython
 from swarmd.core.angles import TURN
 from swarmd.core.buffers import view_of
-from swarmd.core.cython_shadow import INFINITY
+from swarmd.core.cython_shadow import INFINITY, Doubles
 from swarmd.core.values import Array, Scan, ScanSpec, Sweep
 from swarmd.robot.sensing.odometry_history import OdometryHistory
 from swarmd.robot.sensing.ray_motion import move_rays, rays_in_sector
 
-_MAX_TIMED_RAYS = cython.declare(cython.int, 8)  # objects that are kept
+_MAX_TIMED_RAYS = 8  # objects that are kept
 
 
 class TimedRays:
@@ -95,29 +95,29 @@ class Deskewer:
     """
 
     _sweep: Sweep | None
-    _latency: cython.double
-    _stale_after: cython.double
-    _unknown_span: cython.double  # s, the scan period if the sweep is unknown, else 0
+    _latency: float
+    _stale_after: float
+    _unknown_span: float  # s, the scan period if the sweep is unknown, else 0
     _bounds: Array  # (n,) s: the ages of a scan whose sweep is unknown
     _history: OdometryHistory
-    _limits: cython.double[::1]  # m: x, y of the sensor in the base frame, range_min, range_max
-    _sector_args: cython.double[::1]  # rad: `sector` of `rays_in_sector`: start, direction, width
+    _limits: Doubles  # m: x, y of the sensor in the base frame, range_min, range_max
+    _sector_args: Doubles  # rad: `sector` of `rays_in_sector`: start, direction, width
     # TimedRays of the bearings and ages of the last scan, which mostly are the same objects again.
     _bearings_of_scan: Array | None
     _ages_of_scan: Array | None
     _ray_ages: Array  # the array of `_ages`
-    _bearings: cython.const_double[::1]
-    _cos: cython.const_double[::1]
-    _sin: cython.const_double[::1]
-    _ages: cython.const_double[::1]
-    _span: cython.double
-    _newest_age: cython.double
-    _direction: cython.double
-    _oldest: cython.double
-    _spacing: cython.double
+    _bearings: Doubles
+    _cos: Doubles
+    _sin: Doubles
+    _ages: Doubles
+    _span: float
+    _newest_age: float
+    _direction: float
+    _oldest: float
+    _spacing: float
     _last_scan: Scan | None  # the scan that was returned last
-    _last_at: cython.double  # the time of its newest ray
-    _filled_count: cython.Py_ssize_t  # its first rays, which are those of the scan before it
+    _last_at: float  # the time of its newest ray
+    _filled_count: int  # its first rays, which are those of the scan before it
 
     def __init__(self, spec: ScanSpec, history: OdometryHistory) -> None:
         self._sweep = spec.sweep
@@ -134,9 +134,7 @@ class Deskewer:
         self._sin = self._limits
         self._ages = self._limits
 
-    def deskew(
-        self, scan: Scan, now: cython.double, odometry_age: Any, delay: cython.double = 0.0
-    ) -> Scan:
+    def deskew(self, scan: Scan, now: float, odometry_age: Any, delay: float = 0.0) -> Scan:
         """The scan that arrived at `now`, as the sensor would see it at the time of its newest ray.
 
         See the class for the ages of the rays, and for cases in which rays are not moved.
@@ -163,15 +161,13 @@ class Deskewer:
 
         # 2. Moves the rays to the time of the newest ray, if odometry is fresh. This time includes
         # the measured `delay`; the `newest_age` of the returned scan does not.
-        newest_age: cython.double = self._newest_age + delay
-        newest_at: cython.double = now - newest_age
+        newest_age = self._newest_age + delay
+        newest_at = now - newest_age
         moved = None
         if odometry_age is not None:
-            seconds_since_reading: cython.double = odometry_age
+            seconds_since_reading = odometry_age
             # `now` on the clock of odometry, less the age of the newest ray.
-            newest_stamp: cython.double = (
-                self._history.trail.latest + seconds_since_reading - newest_age
-            )
+            newest_stamp = self._history.trail.latest + seconds_since_reading - newest_age
             moved = self._move_scan_rays(ranges, newest_stamp, newest_at - self._last_at)
 
         # 3. The new scan. Its first rays may come from the scan before, see `_move_scan_rays`.
@@ -196,13 +192,12 @@ class Deskewer:
         self._last_at = newest_at
         return result
 
-    @cython.cfunc
-    def _bounds_of(self, count: cython.Py_ssize_t, ages: Array | None) -> Array:
+    def _bounds_of(self, count: int, ages: Array | None) -> Array:
         """(count,) half of the longest time that a scan may take; the same object if it is equal.
 
         `ages`: as the driver gives them, from which only the time between first and last is taken.
         """
-        longest: cython.double = self._unknown_span
+        longest = self._unknown_span
         if ages is not None:
             longest = max(longest, ages.max(initial=0.0))
         if len(self._bounds) != count or (count and self._bounds[0] != 0.5 * longest):
@@ -210,7 +205,6 @@ class Deskewer:
             self._bounds.flags.writeable = False
         return self._bounds
 
-    @cython.cfunc
     def _set_rays(self, bearings: Array, ages: Array | None) -> None:
         """Take other bearings and ages; with None as ages, the platform's sweep gives them."""
         rays = _timed_rays(bearings, ages, self._sweep)
@@ -227,10 +221,7 @@ class Deskewer:
         self._oldest = rays.oldest
         self._spacing = rays.spacing
 
-    @cython.cfunc
-    def _move_scan_rays(
-        self, ranges_of_scan: Array, stamp: cython.double, seconds: cython.double
-    ) -> Any:
+    def _move_scan_rays(self, ranges_of_scan: Array, stamp: float, seconds: float) -> Any:
         """Ranges, bearings and ages (k,) of a scan, moved to the stamp of its newest ray.
 
         The rays that fill an unmeasured sector come first, so k may exceed n. None if the rays are
@@ -243,7 +234,7 @@ class Deskewer:
             seconds: s from the newest ray of the scan before to the newest ray of this scan.
         """
         history: OdometryHistory = self._history
-        path_rows: cython.Py_ssize_t = history.set_path(stamp, self._span)
+        path_rows = history.set_path(stamp, self._span)
         if path_rows == 0:
             return None  # at rest, odometry does not reach back, or all rays have one age (span 0)
         # 1. The width in rad of the unmeasured sector; below 0 if the robot turns with the sensor.
@@ -251,21 +242,21 @@ class Deskewer:
         yaw_at_begin = history.path[path_rows - 1, 3]
         unmeasured = self._direction * yaw_at_begin
         # A sector below half the angle between two rays lacks no ray.
-        lacks_rays: cython.bint = unmeasured > 0.5 * self._spacing
+        lacks_rays = unmeasured > 0.5 * self._spacing
         if lacks_rays and not self._can_fill(stamp, seconds):
             return None
 
         # 2. Fills the sector with rays of the scan before, the first rays of the result.
         # `_fill_sector` writes the ages of these rays, and behind them those of this scan.
-        count: cython.Py_ssize_t = len(self._ages)
-        filled_count: cython.Py_ssize_t = 0
+        count = len(self._ages)
+        filled_count = 0
         last = self._last_scan if lacks_rays else None
-        capacity: cython.Py_ssize_t = count + (0 if last is None else len(last.ranges))
+        capacity = count + (0 if last is None else len(last.ranges))
         ages = self._ray_ages  # of this scan; with rays of the scan before: a new array, see below
         ranges = np.empty(capacity)
         bearings = np.empty(capacity)
-        distances: cython.double[::1] = view_of(ranges)
-        angles: cython.double[::1] = view_of(bearings)
+        distances: Doubles = view_of(ranges)
+        angles: Doubles = view_of(bearings)
         if last is not None:
             history.set_motion(stamp - seconds, stamp)
             ages = np.empty(capacity)
@@ -293,24 +284,22 @@ class Deskewer:
             values.setflags(write=False)
         return ranges, bearings, ages
 
-    @cython.cfunc
-    def _can_fill(self, stamp: cython.double, seconds: cython.double) -> cython.bint:
+    def _can_fill(self, stamp: float, seconds: float) -> bool:
         """True if the scan before is recent enough to fill the unmeasured sector of this scan."""
         last = self._last_scan
         if last is None or last.ages is None or not 0.0 < seconds <= self._stale_after:
             return False
         return self._history.covers(stamp - seconds)
 
-    @cython.cfunc
     def _fill_sector(
         self,
         last: Scan,
-        unmeasured: cython.double,
-        seconds: cython.double,
-        distances: cython.double[::1],
-        angles: cython.double[::1],
-        ages: cython.double[::1],
-    ) -> cython.Py_ssize_t:
+        unmeasured: float,
+        seconds: float,
+        distances: Doubles,
+        angles: Doubles,
+        ages: Doubles,
+    ) -> int:
         """Fill the unmeasured sector with rays of the scan before; the number of these rays.
 
         Sets distances, angles and ages of these rays, and behind them the ages of this scan. The
@@ -322,7 +311,6 @@ class Deskewer:
             seconds: s from the newest ray of the scan before to the newest ray of this scan.
             distances, angles, ages: (k,) m, rad, s; the arrays to fill.
         """
-        i: cython.Py_ssize_t
         # The oldest ray was measured at the bearing `_oldest`, and de-skew moves this ray by
         # `unmeasured` in the direction of the sweep. The sector has the bearings that this ray
         # leaves behind. A ray covers half the angle between two rays to each side of its bearing,
@@ -331,7 +319,7 @@ class Deskewer:
         self._sector_args[0] = start
         self._sector_args[1] = self._direction
         self._sector_args[2] = unmeasured
-        count: cython.Py_ssize_t = rays_in_sector(
+        count = rays_in_sector(
             view_of(last.ranges),
             view_of(last.bearings),
             view_of(np.asarray(last.ages)),
@@ -350,8 +338,7 @@ class Deskewer:
         return count
 
 
-@cython.cfunc
-def _are_at_once(ages: Array | None) -> cython.bint:
+def _are_at_once(ages: Array | None) -> bool:
     """True if the driver gives all rays one age; `ages` may be None."""
     return ages is not None and len(ages) > 1 and ages.max() == 0.0
 
@@ -360,7 +347,6 @@ def _are_at_once(ages: Array | None) -> cython.bint:
 _kept_rays: list[TimedRays] = []
 
 
-@cython.cfunc
 def _timed_rays(bearings: Array, ages: Array | None, sweep: Sweep | None) -> TimedRays:
     """The `TimedRays` of bearings and ages; kept, and returned again for the same objects."""
     for rays in _kept_rays:
@@ -372,23 +358,21 @@ def _timed_rays(bearings: Array, ages: Array | None, sweep: Sweep | None) -> Tim
     return _kept_rays[0]
 
 
-@cython.cfunc
 def _scan_with(
     scan: Scan,
     ranges: Array,
     bearings: Array,
     ages: Array | None,
-    newest_age: cython.double,
+    newest_age: float,
     filled: Array | None,
-    borrowed: cython.Py_ssize_t = 0,
+    borrowed: int = 0,
 ) -> Scan:
     """A copy of a scan with other ranges, bearings and ages, and other unmeasured rays."""
     limits = scan.range_min, scan.range_max
     return Scan(scan.seq, scan.stamp, ranges, bearings, *limits, ages, newest_age, filled, borrowed)
 
 
-@cython.cfunc
-def _behind_borrowed(filled: Array | None, borrowed: cython.Py_ssize_t) -> Any:
+def _behind_borrowed(filled: Array | None, borrowed: int) -> Any:
     """`Scan.filled` of a scan before whose rays there are `borrowed` rays of the scan before."""
     if borrowed == 0 or filled is None:
         return filled

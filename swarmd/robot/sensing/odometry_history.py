@@ -9,7 +9,7 @@ import numpy as np
 from swarmd.core import cython_shadow as cython
 from swarmd.core.angles import TURN
 from swarmd.core.buffers import view_of
-from swarmd.core.cython_shadow import cos, fabs, hypot, remainder, sin
+from swarmd.core.cython_shadow import Doubles, Table, cos, fabs, hypot, remainder, sin
 from swarmd.core.odometry_trail import (
     ANEW,
     R_ANGULAR,
@@ -24,18 +24,18 @@ from swarmd.core.odometry_trail import (
 from swarmd.core.values import HISTORY, Odometry
 from swarmd.robot.sensing.scan_delay import ScanDelay
 
-_MIN_STEP = cython.declare(cython.double, 1e-9)  # s between two poses of a path
+_MIN_STEP = 1e-9  # s between two poses of a path
 # m and rad during one scan: a robot that moves less is at rest, and its scan is not changed.
-_AT_REST = cython.declare(cython.double, 5e-4)
+_AT_REST = 5e-4
 # m and rad between two readings that the twist need not explain, and times by which the motion may
 # exceed the twist; s of a gap in which the twist explains motion. As drivers/ros/carried_pose.py.
-_SHIFT_WAY = cython.declare(cython.double, 0.1)
-_SHIFT_TURN = cython.declare(cython.double, 0.2)
-_TWIST_EXCESS = cython.declare(cython.double, 1.5)
-_MAX_GAP = cython.declare(cython.double, 0.5)
+_SHIFT_WAY = 0.1
+_SHIFT_TURN = 0.2
+_TWIST_EXCESS = 1.5
+_MAX_GAP = 0.5
 # s in which a shift fades, and faded shifts that are more than one correction (following.py).
-_SHIFT_TIME = cython.declare(cython.double, 30.0)
-_SHIFTS = cython.declare(cython.double, 1.5)
+_SHIFT_TIME = 30.0
+_SHIFTS = 1.5
 
 
 @cython.cclass
@@ -46,12 +46,12 @@ class OdometryHistory:
     moves, as after a reset or a correction: no motion between both is known.
     """
 
-    has_shifted = cython.declare(cython.bint, visibility="readonly")
-    _shifts: cython.double
+    has_shifted: bool
+    _shifts: float
     _delay: ScanDelay | None
     trail: OdometryTrail
-    path: cython.double[:, ::1]  # see `set_path`
-    motion: cython.double[::1]  # see `set_motion`
+    path: Table  # see `set_path`
+    motion: Doubles  # see `set_motion`
 
     def __init__(self, delay: ScanDelay | None = None) -> None:
         """`delay` gets each reading whose stamp is new."""
@@ -61,16 +61,16 @@ class OdometryHistory:
         self.path = view_of(np.empty((HISTORY + 2, 4)))
         self.motion = array("d", 3 * [0.0])
 
-    def take(self, odometry: Odometry, now: cython.double) -> bool | None:
+    def take(self, odometry: Odometry, now: float) -> bool | None:
         """Store a reading that arrived at `now` s; True for a new stamp, False for the last stamp.
 
         None, and nothing is stored, if a value is not finite or too large.
         """
-        stamp: cython.double = odometry.stamp
-        is_new: cython.bint = stamp != self.trail.latest
-        is_shift: cython.bint = self._is_shift(odometry)
-        passed: cython.double = stamp - self.trail.latest if self.trail.count else 0.0
-        taken: cython.int = self.trail.take(odometry, True)
+        stamp = odometry.stamp
+        is_new = stamp != self.trail.latest
+        is_shift = self._is_shift(odometry)
+        passed = stamp - self.trail.latest if self.trail.count else 0.0
+        taken = self.trail.take(odometry, True)
         if taken == REFUSED:
             return None
         is_shift = is_shift or taken == ANEW
@@ -84,23 +84,22 @@ class OdometryHistory:
             self._delay.read(stamp, pose.yaw, twist.angular, pose, now)
         return is_new
 
-    @cython.cfunc
-    def _is_shift(self, odometry: Odometry) -> cython.bint:
+    def _is_shift(self, odometry: Odometry) -> bool:
         """True if the twist does not explain how the pose differs from the newest reading."""
         trail: OdometryTrail = self.trail
         if trail.count == 0:
             return False
         r = trail.readings
-        last: cython.Py_ssize_t = trail.place(0)
+        last = trail.place(0)
         pose = odometry.pose
         twist = odometry.twist
-        x: cython.double = pose.x
-        y: cython.double = pose.y
-        yaw: cython.double = pose.yaw
-        linear: cython.double = twist.linear
-        lateral: cython.double = twist.lateral
-        angular: cython.double = twist.angular
-        seconds: cython.double = min(odometry.stamp - r[last], _MAX_GAP)
+        x = pose.x
+        y = pose.y
+        yaw = pose.yaw
+        linear = twist.linear
+        lateral = twist.lateral
+        angular = twist.angular
+        seconds = min(odometry.stamp - r[last], _MAX_GAP)
         speed = max(hypot(linear, lateral), hypot(r[last + R_LINEAR], r[last + R_LATERAL]))
         rate = max(fabs(angular), fabs(r[last + R_ANGULAR]))
         way = hypot(x - r[last + R_X], y - r[last + R_Y])
@@ -115,13 +114,11 @@ class OdometryHistory:
         """The newest stamp in s; NaN without a reading."""
         return self.trail.latest
 
-    @cython.cfunc
-    def covers(self, stamp: cython.double) -> cython.bint:
+    def covers(self, stamp: float) -> bool:
         """True if the readings reach back to a time."""
         return self.trail.covers(stamp)
 
-    @cython.cfunc
-    def set_path(self, end: cython.double, seconds: cython.double) -> cython.Py_ssize_t:
+    def set_path(self, end: float, seconds: float) -> int:
         """Set `path`, the motion in the `seconds` before the stamp `end`; the number of its rows.
 
         Each row of `path` has the s before `end`, and x and y in m and yaw in rad relative to the
@@ -132,9 +129,7 @@ class OdometryHistory:
         if seconds == 0.0 or not trail.covers(end - seconds):
             return 0
         r = trail.readings
-        rows: cython.Py_ssize_t = 1
-        i: cython.Py_ssize_t
-        start: cython.Py_ssize_t
+        rows = 1
         trail.set_pose(end)
         self._set_row(0, 0.0, trail.x, trail.y, trail.yaw)
         # From the newest reading back; readings after `end` are skipped.
@@ -152,23 +147,14 @@ class OdometryHistory:
         rows += 1
         return rows if self._makes_relative(rows) else 0  # false: at rest on the whole path
 
-    @cython.cfunc
-    def _set_row(
-        self,
-        row: cython.Py_ssize_t,
-        before: cython.double,
-        x: cython.double,
-        y: cython.double,
-        yaw: cython.double,
-    ) -> cython.int:
+    def _set_row(self, row: int, before: float, x: float, y: float, yaw: float) -> None:
         p = self.path
         p[row, 0] = before
         p[row, 1] = x
         p[row, 2] = y
         p[row, 3] = yaw
 
-    @cython.cfunc
-    def _makes_relative(self, rows: cython.Py_ssize_t) -> cython.bint:
+    def _makes_relative(self, rows: int) -> bool:
         """Make the poses of the path relative to the first one; false if all are at rest."""
         path = self.path
         x = path[0, 1]
@@ -178,7 +164,6 @@ class OdometryHistory:
         sin_yaw = sin(yaw)
         turned = 0.0
         moves = False
-        i: cython.Py_ssize_t
         for i in range(rows):
             dx = path[i, 1] - x
             dy = path[i, 2] - y
@@ -190,8 +175,7 @@ class OdometryHistory:
                 moves = True
         return moves
 
-    @cython.cfunc
-    def set_motion(self, stamp: cython.double, end: cython.double) -> cython.int:
+    def set_motion(self, stamp: float, end: float) -> None:
         """Set `motion`: x, y, yaw of the pose at a stamp, relative to the pose at `end`."""
         trail: OdometryTrail = self.trail
         trail.set_pose(end)

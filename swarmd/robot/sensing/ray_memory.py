@@ -14,7 +14,7 @@ import numpy as np
 from swarmd.core import cython_shadow as cython
 from swarmd.core.angles import PI, TURN, angle_between, mod_turn, wrap
 from swarmd.core.buffers import flags, indices, scratch, view_of, wrapped_index
-from swarmd.core.cython_shadow import INFINITY, NAN, fabs, isfinite, isnan, rint
+from swarmd.core.cython_shadow import INFINITY, NAN, Doubles, Indices, fabs, isfinite, isnan, rint
 from swarmd.core.ray_order import sort_rays
 
 if TYPE_CHECKING:
@@ -22,42 +22,38 @@ if TYPE_CHECKING:
 
 PACKET_RAYS = 6  # rays that an LDS loses together
 
-_SMALL_ANGLE = cython.declare(cython.double, 1e-9)  # rad, of rounding
-_MAX_UNEVENNESS = cython.declare(cython.double, 0.2)  # steps by which evenly spaced rays may be off
-_MAX_TURN_ERROR = cython.declare(cython.double, 0.5)  # steps by which these may miss a full turn
-_GUESSES = cython.declare(cython.Py_ssize_t, 3)  # places from the hint on that are tried first
+_SMALL_ANGLE = 1e-9  # rad, of rounding
+_MAX_UNEVENNESS = 0.2  # steps by which evenly spaced rays may be off
+_MAX_TURN_ERROR = 0.5  # steps by which these may miss a full turn
+_GUESSES = 3  # places from the hint on that are tried first
 # The sensor is blind if so many far returns, and this share of the rays, all vanish from one scan
 # to the next. Fewer may vanish, as those of a ring of few sensors.
-_BLIND_RETURNS = cython.declare(cython.double, 8.0)
-_BLIND_SHARE = cython.declare(cython.double, 0.1)
+_BLIND_RETURNS = 8.0
+_BLIND_SHARE = 0.1
 # Share of range_max up to which returns count as far returns; returns beyond it may vanish.
-_FAR_SHARE = cython.declare(cython.double, 0.8)
+_FAR_SHARE = 0.8
 # m above range_min: an LDS ray this near may turn into a zero.
-_NEAR_MARGIN = cython.declare(cython.double, 0.10)
+_NEAR_MARGIN = 0.10
 # s for which a near ray explains zeros.
-_NEAR_MEMORY = cython.declare(cython.double, 1.0)
+_NEAR_MEMORY = 1.0
 # rad beside a near ray in which zeros may mean near.
-_NEAR_SECTOR = cython.declare(cython.double, math.radians(3.0) + 1e-9)
-_PACKET_RAYS = cython.declare(cython.Py_ssize_t, PACKET_RAYS)
+_NEAR_SECTOR = math.radians(3.0) + 1e-9
+_PACKET_RAYS = PACKET_RAYS
 # More zeros in a row may be an obstacle in the blind zone that hides far returns: a robot 7 cm wide
 # hides 34 rays of a Burger, and three packets side by side are hardly ever lost at once.
-_HIDING_RAYS = cython.declare(cython.Py_ssize_t, 2 * PACKET_RAYS)
-_HIDDEN_RANGE = cython.declare(cython.double, 1.0)  # m beyond which a return counts as far there
+_HIDING_RAYS = 2 * PACKET_RAYS
+_HIDDEN_RANGE = 1.0  # m beyond which a return counts as far there
 
 
-@cython.cfunc
-def _nearest_angle(
-    rising: cython.double[::1], n: cython.Py_ssize_t, wanted: cython.double, hint: cython.Py_ssize_t
-) -> cython.Py_ssize_t:
+def _nearest_angle(rising: Doubles, n: int, wanted: float, hint: int) -> int:
     """The index of the angle nearest to `wanted` (rad), by binary search.
 
     `rising`: angles in [0, a full turn), of which the first `n` > 0 are in use and rise. `wanted`:
     rad, any angle. `hint`: an index at which the search begins, such as the last result.
     """
     angle = mod_turn(wanted)
-    low: cython.Py_ssize_t = 0
-    high: cython.Py_ssize_t = n
-    middle: cython.Py_ssize_t
+    low = 0
+    high = n
 
     # 1. Finds the first angle that is not below `wanted`: near the hint, else by halving.
     for middle in range(hint, min(hint + _GUESSES, n)):
@@ -73,16 +69,14 @@ def _nearest_angle(
             high = middle
 
     # 2. This angle or the angle before, whichever is nearer.
-    after: cython.Py_ssize_t = low if low < n else 0
-    before: cython.Py_ssize_t = after - 1 if after else n - 1
+    after = low if low < n else 0
+    before = after - 1 if after else n - 1
     if angle_between(rising[before], wanted) < angle_between(rising[after], wanted):
         return before
     return after
 
 
-@cython.cfunc
-@cython.exceptval(check=False)
-def _unwrapped(step: cython.double) -> cython.double:
+def _unwrapped(step: float) -> float:
     """A step between two angles in [-pi, pi], as numpy.unwrap: half a turn keeps its sign."""
     wrapped_step = wrap(step)
     return PI if wrapped_step == -PI and step > 0.0 else wrapped_step
@@ -99,34 +93,34 @@ class RayMemory:
     1 for each ray that the last scan did not measure, else 0; None without such a ray.
     """
 
-    known_at = cython.declare(cython.double, visibility="readonly")
-    far_returns = cython.declare(cython.Py_ssize_t, visibility="public")
-    filled: Array | None = cython.declare(object, visibility="readonly")
-    _range_min: cython.double
-    _range_max: cython.double
-    _max_gap: cython.double
-    _stale_after: cython.double
-    _zero: cython.double  # the meaning of a range of 0
-    _is_lds: cython.bint
-    _guesses_near: cython.bint
-    _near_below: cython.double  # the range of a ray that may turn into a zero
-    _step: cython.double  # from one ray to the next
-    _yaw: cython.double  # of the robot, to which the memory is turned
+    known_at: float
+    far_returns: int
+    filled: Array | None
+    _range_min: float
+    _range_max: float
+    _max_gap: float
+    _stale_after: float
+    _zero: float  # the meaning of a range of 0
+    _is_lds: bool
+    _guesses_near: bool
+    _near_below: float  # the range of a ray that may turn into a zero
+    _step: float  # from one ray to the next
+    _yaw: float  # of the robot, to which the memory is turned
     _given: Array | None  # the array of the bearings
-    _ray_count: cython.Py_ssize_t
-    _bearings: cython.double[::1]
-    _direction: cython.double  # 1.0 if bearings rise, -1.0 if they fall
-    _is_even: cython.bint  # rays cover a full turn, one each `_step`
-    _order: cython.longlong[::1]  # the rays by rising bearing, and the place of each ray in it
-    _rising: cython.double[::1]
-    _place: cython.longlong[::1]
+    _ray_count: int
+    _bearings: Doubles
+    _direction: float  # 1.0 if bearings rise, -1.0 if they fall
+    _is_even: bool  # rays cover a full turn, one each `_step`
+    _order: Indices  # the rays by rising bearing, and the place of each ray in it
+    _rising: Doubles
+    _place: Indices
     # The memory by the place of a ray plus `_shift`: to turn the memory, only `_shift` changes.
-    _ranges: cython.double[::1]  # the last known range; NaN before the first
-    _seen_at: cython.double[::1]  # the time of this range; -inf before the first
-    _near_at: cython.double[::1]  # the time of the last range below `_near_below`; -inf: none
-    _shift: cython.Py_ssize_t
-    _is_zero: cython.uchar[::1]  # of the present scan: the raw range is 0
-    _is_lost: cython.uchar[::1]  # of the present scan: unknown, other than by a zero of an LDS
+    _ranges: Doubles  # the last known range; NaN before the first
+    _seen_at: Doubles  # the time of this range; -inf before the first
+    _near_at: Doubles  # the time of the last range below `_near_below`; -inf: none
+    _shift: int
+    _is_zero: Indices  # of the present scan: the raw range is 0
+    _is_lost: Indices  # of the present scan: unknown, other than by a zero of an LDS
 
     def __init__(self, spec: ScanSpec, *, guesses_near: bool) -> None:
         self.known_at = -INFINITY
@@ -144,9 +138,7 @@ class RayMemory:
         self._order = self._place = indices(0)
         self._is_zero = self._is_lost = flags(0)
 
-    def condition(
-        self, raw: Array, bearings: Array, yaw: cython.double, now: cython.double
-    ) -> Array | None:
+    def condition(self, raw: Array, bearings: Array, yaw: float, now: float) -> Array | None:
         """The conditioned ranges (n,) of a scan; None if the scan is invalid.
 
         `raw`: (n,) m, the ranges of the driver. `bearings`: (n,) rad; the same object as before
@@ -155,10 +147,7 @@ class RayMemory:
         ranges = np.array(raw, dtype=np.float64, order="C")
         return ranges if self.interpret(view_of(ranges), bearings, yaw, now) else None
 
-    @cython.cfunc
-    def interpret(
-        self, ranges: cython.double[::1], bearings: Array, yaw: cython.double, now: cython.double
-    ) -> cython.bint:
+    def interpret(self, ranges: Doubles, bearings: Array, yaw: float, now: float) -> bool:
         """Replace the raw `ranges` (n,) of a scan by conditioned ranges; False: invalid scan.
 
         A conditioned range is a distance, +inf (no return) or -inf (too close to measure).
@@ -169,7 +158,7 @@ class RayMemory:
         self._turn_memory(bearings, yaw)
         if self._interpret_ranges(ranges):
             self._interpret_zeros(ranges, now)
-        unknown_count: cython.Py_ssize_t = self._remember(ranges, now)
+        unknown_count = self._remember(ranges, now)
         self.filled = np.isnan(np.asarray(ranges)).astype(np.float64) if unknown_count else None
         if 2 * unknown_count > len(ranges):  # fewer than half of the rays are known
             return False
@@ -180,14 +169,13 @@ class RayMemory:
         # Neighbours fill the rays that the memory leaves unknown. False: a sector is too wide.
         return self._fill_from_memory(ranges, now) == 0 or self._bridge_sectors(ranges)
 
-    @cython.cfunc
-    def _turn_memory(self, bearings: Array, yaw: cython.double) -> None:
+    def _turn_memory(self, bearings: Array, yaw: float) -> None:
         """Turn the memory with the robot to `yaw` in rad, so that it stays with the surroundings.
 
         Takes over the `bearings` (n,) of the scan if they differ from those of the scan before.
         """
         turned = self._turn_of(yaw)
-        is_same: cython.bint = bearings is self._given  # mostly the same object
+        is_same = bearings is self._given  # mostly the same object
         if not is_same and self._ray_count and np.array_equal(bearings, np.asarray(self._bearings)):
             self._given = bearings
             is_same = True
@@ -203,14 +191,9 @@ class RayMemory:
         elif turned != 0.0:
             self._recall(self._rising, turned)
 
-    @cython.cfunc
-    def _fill_from_memory(
-        self, ranges: cython.double[::1], now: cython.double
-    ) -> cython.Py_ssize_t:
+    def _fill_from_memory(self, ranges: Doubles, now: float) -> int:
         """Fill unknown rays with their last ranges, if not stale; the number still unknown."""
-        unknown_count: cython.Py_ssize_t = 0
-        i: cython.Py_ssize_t
-        index: cython.Py_ssize_t
+        unknown_count = 0
         for i in range(len(ranges)):
             if isnan(ranges[i]):
                 index = self._index(i)
@@ -220,12 +203,9 @@ class RayMemory:
                     unknown_count += 1
         return unknown_count
 
-    @cython.cfunc
-    def _remember(self, ranges: cython.double[::1], now: cython.double) -> cython.Py_ssize_t:
+    def _remember(self, ranges: Doubles, now: float) -> int:
         """Store the known rays; the number of unknown rays, which keep their memory."""
-        i: cython.Py_ssize_t
-        index: cython.Py_ssize_t
-        unknown_count: cython.Py_ssize_t = 0
+        unknown_count = 0
         near_below = self._near_below
         known_ranges = self._ranges
         seen_at = self._seen_at
@@ -246,22 +226,18 @@ class RayMemory:
                 self._near_at[index] = now
         return unknown_count
 
-    @cython.cfunc
-    @cython.inline
-    def _index(self, ray: cython.Py_ssize_t) -> cython.Py_ssize_t:
+    def _index(self, ray: int) -> int:
         """The index of a ray in the memory."""
         return wrapped_index(self._place[ray] + self._shift, self._ray_count)
 
-    @cython.cfunc
-    def _goes_blind(self, raw: cython.double[::1]) -> cython.bint:
+    def _goes_blind(self, raw: Doubles) -> bool:
         """Store the number of far returns; True: no return at all, after a scan with many of them.
 
         A scan without a return leaves the stored number. After many far returns the sensor is
         blind: a robot cannot reach an open field between two scans. An obstacle in the blind zone
         may hide all returns, but only after near returns.
         """
-        i: cython.Py_ssize_t
-        far_count: cython.Py_ssize_t = 0
+        far_count = 0
         has_return = False
         near_below = self._near_below
         range_max = self._range_max
@@ -278,8 +254,7 @@ class RayMemory:
         min_far_count = max(_BLIND_SHARE * len(raw), _BLIND_RETURNS)
         return self.far_returns >= min_far_count
 
-    @cython.cfunc
-    def _turn_of(self, yaw: cython.double) -> cython.double:
+    def _turn_of(self, yaw: float) -> float:
         """The turn of the sensor in rad since the last call, rounded to whole rays.
 
         The remainder counts in the next call. 0 if a yaw is unknown.
@@ -292,20 +267,18 @@ class RayMemory:
         self._yaw += turned
         return turned
 
-    @cython.cfunc
-    def _set_bearings(self, bearings: Array, turned: cython.double) -> None:
+    def _set_bearings(self, bearings: Array, turned: float) -> None:
         """Replace the bearings; each ray gets the memory of the nearest of the old rays.
 
         `turned` in rad: the turn of the sensor since the last scan. Sets the order of the rays,
         whether they are even (a ray at each `_step` of a full turn), and in which direction
         bearings change.
         """
-        count: cython.Py_ssize_t = len(bearings)
-        old_count: cython.Py_ssize_t = self._ray_count
+        count = len(bearings)
+        old_count = self._ray_count
         old_rising = self._rising
-        i: cython.Py_ssize_t
         values = np.array(bearings, dtype=np.float64, order="C")
-        angles: cython.double[::1] = view_of(values % TURN)
+        angles: Doubles = view_of(values % TURN)
         self._given = bearings
         self._ray_count = count
         self._direction = 1.0
@@ -327,11 +300,9 @@ class RayMemory:
         else:
             self._set_empty_memory()
 
-    @cython.cfunc
-    def _has_even_rays(self) -> cython.bint:
+    def _has_even_rays(self) -> bool:
         """True if the rays cover a full turn, a ray at each `_step`."""
-        i: cython.Py_ssize_t
-        count: cython.Py_ssize_t = self._ray_count
+        count = self._ray_count
         step = self._step
         if not fabs(count * step - TURN) < _MAX_TURN_ERROR * step:
             return False
@@ -340,10 +311,8 @@ class RayMemory:
                 return False
         return True
 
-    @cython.cfunc
-    def _set_empty_memory(self) -> cython.int:
-        i: cython.Py_ssize_t
-        n: cython.Py_ssize_t = self._ray_count
+    def _set_empty_memory(self) -> None:
+        n = self._ray_count
         self._ranges = scratch(n)
         self._seen_at = scratch(n)
         self._near_at = scratch(n)
@@ -352,19 +321,15 @@ class RayMemory:
             self._seen_at[i] = -INFINITY
             self._near_at[i] = -INFINITY
 
-    @cython.cfunc
-    def _recall(self, rising: cython.double[::1], turned: cython.double) -> cython.int:
+    def _recall(self, rising: Doubles, turned: float) -> None:
         """Give each ray the old memory of the ray that was nearest to it before the turn."""
-        count: cython.Py_ssize_t = self._ray_count
-        old_count: cython.Py_ssize_t = len(rising)
+        count = self._ray_count
+        old_count = len(rising)
         ranges = self._ranges
         seen_at = self._seen_at
         near_at = self._near_at
         too_far = 2.0 * TURN / old_count
-        place: cython.Py_ssize_t = 0
-        i: cython.Py_ssize_t
-        source: cython.Py_ssize_t
-        target: cython.Py_ssize_t
+        place = 0
         self._set_empty_memory()
         for i in range(count):
             wanted = mod_turn(self._bearings[i] + turned)
@@ -377,10 +342,8 @@ class RayMemory:
             self._near_at[target] = -INFINITY if is_far else near_at[source]
         self._shift = 0
 
-    @cython.cfunc
-    def _interpret_ranges(self, out: cython.double[::1]) -> cython.bint:
+    def _interpret_ranges(self, out: Doubles) -> bool:
         """Each ray as +inf, -inf, NaN or a distance; true if zeros of an LDS are left."""
-        i: cython.Py_ssize_t
         range_min = self._range_min
         range_max = self._range_max
         is_zero = self._is_zero
@@ -401,18 +364,14 @@ class RayMemory:
                 out[i] = INFINITY if value > range_max else NAN
         return has_zeros
 
-    @cython.cfunc
-    def _interpret_zeros(self, out: cython.double[::1], now: cython.double) -> cython.int:
+    def _interpret_zeros(self, out: Doubles, now: float) -> None:
         """The meaning of the zeros of an LDS that are left in `out`."""
-        n: cython.Py_ssize_t = len(out)
-        first: cython.Py_ssize_t = 0
+        n = len(out)
+        first = 0
         while first < n and out[first] == 0.0:
             first += 1
-        begin: cython.Py_ssize_t = first
-        end: cython.Py_ssize_t = first + n
-        k: cython.Py_ssize_t
-        i: cython.Py_ssize_t
-        run: cython.Py_ssize_t
+        begin = first
+        end = first + n
         while begin < end:  # runs of zeros, the one around the end of the array last
             if first < n and out[wrapped_index(begin, n)] != 0.0:
                 begin += 1
@@ -425,40 +384,31 @@ class RayMemory:
                 out[i] = self._meaning(i, run, now)
             begin += run
 
-    @cython.cfunc
-    def _meaning(
-        self, ray: cython.Py_ssize_t, run: cython.Py_ssize_t, now: cython.double
-    ) -> cython.double:
+    def _meaning(self, ray: int, run: int, now: float) -> float:
         """The meaning of a zero in a run of `run` zeros: -inf near, +inf no return, NaN lost.
 
         The memory fills a lost ray. `ray`: the index of the ray. `now`: s.
         """
-        at: cython.Py_ssize_t = self._index(ray)
-        had_return: cython.bint = self._seen_at[at] >= now - self._stale_after and isfinite(
-            self._ranges[at]
-        )
+        at = self._index(ray)
+        had_return = self._seen_at[at] >= now - self._stale_after and isfinite(self._ranges[at])
         # A short run over recent returns is a lost packet; a near obstacle hides more rays.
-        is_packet: cython.bint = had_return and run <= _PACKET_RAYS
+        is_packet = had_return and run <= _PACKET_RAYS
         if not is_packet and self._was_near(ray, now):
             return -INFINITY
         # A long run over far returns may be an obstacle in the blind zone. `BlindZoneMemory`
         # (robot/protection/blind_zone.py) finds such an obstacle by rays without a return, and
         # would find none if the memory filled these rays.
-        may_hide: cython.bint = run > _HIDING_RAYS and self._ranges[at] > _HIDDEN_RANGE
+        may_hide = run > _HIDING_RAYS and self._ranges[at] > _HIDDEN_RANGE
         if may_hide and not self._guesses_near:
             return INFINITY
         return NAN if had_return else INFINITY
 
-    @cython.cfunc
-    def _was_near(self, ray: cython.Py_ssize_t, now: cython.double) -> cython.bint:
+    def _was_near(self, ray: int, now: float) -> bool:
         """True if a ray within _NEAR_SECTOR had a near return within the last _NEAR_MEMORY s."""
         if not self._guesses_near:
             return False
         since = now - _NEAR_MEMORY
-        direction: cython.Py_ssize_t
-        step: cython.Py_ssize_t
-        beside: cython.Py_ssize_t
-        n: cython.Py_ssize_t = self._ray_count
+        n = self._ray_count
         for direction in range(-1, 2, 2):
             for step in range(n):
                 beside = self._order[(self._place[ray] + direction * step + n) % n]
@@ -468,8 +418,7 @@ class RayMemory:
                     return True
         return False
 
-    @cython.cfunc
-    def _lost_since(self, now: cython.double) -> cython.double:
+    def _lost_since(self, now: float) -> float:
         """The latest time t such that the rays lost before t form no sector wider than `max_gap`.
 
         A ray is lost before t if it is unknown now and was last known before t.
@@ -477,7 +426,6 @@ class RayMemory:
         if self._widest(INFINITY) <= self._max_gap:
             return now
         before = INFINITY
-        i: cython.Py_ssize_t
         while True:
             latest = -INFINITY
             for i in range(self._ray_count):
@@ -487,22 +435,19 @@ class RayMemory:
                 return latest
             before = latest
 
-    @cython.cfunc
-    def _widest(self, before: cython.double) -> cython.double:
+    def _widest(self, before: float) -> float:
         """The width in rad of the widest sector of rays that were lost before the time `before`.
 
         inf if all rays were lost before this time.
         """
-        n: cython.Py_ssize_t = self._ray_count
-        first: cython.Py_ssize_t = 0
+        n = self._ray_count
+        first = 0
         while first < n and self._is_lost[first] and self._seen_at[self._index(first)] < before:
             first += 1
         if first == n:
             return INFINITY
         widest = 0.0
-        last: cython.Py_ssize_t = first
-        k: cython.Py_ssize_t
-        i: cython.Py_ssize_t
+        last = first
         for k in range(first + 1, first + n + 1):
             i = wrapped_index(k, n)
             if self._is_lost[i] and self._seen_at[self._index(i)] < before:
@@ -513,28 +458,25 @@ class RayMemory:
             last = k
         return widest
 
-    @cython.cfunc
-    def _bridge_sectors(self, ranges: cython.double[::1]) -> cython.bint:
+    def _bridge_sectors(self, ranges: Doubles) -> bool:
         """Fill each unknown sector up to `max_gap` wide with the smaller range at its two edges.
 
         `ranges` (n,) has NaN for unknown rays. False if a wider sector is left unknown.
         """
-        count: cython.Py_ssize_t = len(ranges)
-        first: cython.Py_ssize_t = 0
+        count = len(ranges)
+        first = 0
         while first < count and isnan(ranges[first]):
             first += 1
         if first == count:
             return False
         # The last known ray: its index, angle and range. Angles are unwrapped: they rise or fall
         # over the whole turn. The sum of a bearing and `unwrap_shift` is an unwrapped angle.
-        last: cython.Py_ssize_t = first
+        last = first
         first_angle = self._bearings[first]
         last_angle = first_angle
         last_range = ranges[first]
         angle = first_angle
         unwrap_shift = 0.0
-        k: cython.Py_ssize_t
-        i: cython.Py_ssize_t
         is_filled = True
 
         # Each known ray ends the unknown rays behind the last known ray.
@@ -563,17 +505,16 @@ class RayMemory:
                 is_filled = False
         return is_filled
 
-    @cython.cfunc
     def _fill_between(
         self,
-        ranges: cython.double[::1],
-        last: cython.Py_ssize_t,
-        next_known: cython.Py_ssize_t,
-        last_angle: cython.double,
-        next_angle: cython.double,
-        last_range: cython.double,
-        next_range: cython.double,
-    ) -> cython.bint:
+        ranges: Doubles,
+        last: int,
+        next_known: int,
+        last_angle: float,
+        next_angle: float,
+        last_range: float,
+        next_range: float,
+    ) -> bool:
         """Fill the rays between two known rays with the smaller of the two known ranges.
 
         False, and no ray is filled, if the angles of the known rays differ by more than `max_gap`.
@@ -586,7 +527,6 @@ class RayMemory:
         """
         if not fabs(next_angle - last_angle) <= self._max_gap:  # true also for NaN
             return False
-        k: cython.Py_ssize_t
         for k in range(last + 1, next_known):
             ranges[wrapped_index(k, len(ranges))] = min(last_range, next_range)
         return True

@@ -2,34 +2,35 @@
 
 from __future__ import annotations
 
-from swarmd.core import cython_shadow as cython
 from swarmd.core.angles import PI, mod_turn, wrap
-from swarmd.core.cython_shadow import INFINITY, NAN, asin, atan2, cos, fabs, isfinite, sin, sqrt
+from swarmd.core.cython_shadow import (
+    INFINITY,
+    NAN,
+    Doubles,
+    Table,
+    asin,
+    atan2,
+    cos,
+    fabs,
+    isfinite,
+    sin,
+    sqrt,
+)
 
 # The tangent of an angle up to which its series is exact to 3e-15, and faster than atan2.
-_SMALL_TANGENT = cython.declare(cython.double, 0.03)
+_SMALL_TANGENT = 0.03
 # Share of range_min up to which the motion of the sensor bounds the change of all directions.
-_LEAST_SHARE = cython.declare(cython.double, 0.9)
-_ROUNDING = cython.declare(cython.double, 1e-9)  # rad
+_LEAST_SHARE = 0.9
+_ROUNDING = 1e-9  # rad
 
 
-@cython.cfunc
-@cython.inline
-@cython.exceptval(check=False)
-def _moved_range(
-    along: cython.double, across: cython.double, least: cython.double, most: cython.double
-) -> cython.double:
+def _moved_range(along: float, across: float, least: float, most: float) -> float:
     """The range of a return at `along` and `across` m from the sensor; -inf below `least`."""
     distance = min(sqrt(along * along + across * across), most)
     return -INFINITY if distance < least else distance
 
 
-@cython.cfunc
-@cython.inline
-@cython.exceptval(check=False)
-def _moved_bearing(
-    bearing: cython.double, turn: cython.double, along: cython.double, across: cython.double
-) -> cython.double:
+def _moved_bearing(bearing: float, turn: float, along: float, across: float) -> float:
     """The bearing in [-pi, pi) of a return at `along`, `across` m in the frame of its old ray.
 
     The ray had `bearing` at the old pose; `turn` is the yaw of the old pose relative to the new.
@@ -43,19 +44,18 @@ def _moved_bearing(
     return wrap(bearing + turn)
 
 
-@cython.ccall
 def move_rays(
-    ranges: cython.const_double[::1],
-    bearings: cython.const_double[::1],
-    cosines: cython.const_double[::1],
-    sines: cython.const_double[::1],
-    ages: cython.const_double[::1],
-    path: cython.double[:, ::1],
-    row_count: cython.Py_ssize_t,
-    limits: cython.double[::1],
-    distances: cython.double[::1],
-    angles: cython.double[::1],
-) -> cython.int:
+    ranges: Doubles,
+    bearings: Doubles,
+    cosines: Doubles,
+    sines: Doubles,
+    ages: Doubles,
+    path: Table,
+    row_count: int,
+    limits: Doubles,
+    distances: Doubles,
+    angles: Doubles,
+) -> None:
     """Move rays to the end of a path of the base: sets `distances` and `angles` (n,).
 
     Each ray was measured somewhere on the path. The result is how the sensor would see its return
@@ -77,10 +77,9 @@ def move_rays(
     offset_y = limits[1]
     range_min = limits[2]
     range_max = limits[3]
-    count: cython.Py_ssize_t = len(ranges)
-    last_row: cython.Py_ssize_t = row_count - 1
-    row: cython.Py_ssize_t = 1
-    i: cython.Py_ssize_t
+    count = len(ranges)
+    last_row = row_count - 1
+    row = 1
     # The segment of the path in which the ray was measured, from row `row - 1`, the newer end, to
     # row `row`, the older end: the ages of both ends (s before the end of the path), x, y and turn
     # at the newer end, and their change to the older end.
@@ -149,19 +148,18 @@ def move_rays(
         angles[i] = _moved_bearing(bearings[i], turn, along, across)
 
 
-@cython.ccall
 def rays_in_sector(
-    ranges: cython.const_double[::1],
-    bearings: cython.const_double[::1],
-    ages: cython.const_double[::1],
-    first: cython.Py_ssize_t,
-    motion: cython.double[::1],
-    sector: cython.double[::1],
-    limits: cython.double[::1],
-    distances: cython.double[::1],
-    angles: cython.double[::1],
-    kept_ages: cython.double[::1],
-) -> cython.Py_ssize_t:
+    ranges: Doubles,
+    bearings: Doubles,
+    ages: Doubles,
+    first: int,
+    motion: Doubles,
+    sector: Doubles,
+    limits: Doubles,
+    distances: Doubles,
+    angles: Doubles,
+    kept_ages: Doubles,
+) -> int:
     """Move the rays that lie in a sector to another pose; the number of these rays.
 
     Sets `distances`, `angles` and `kept_ages` of these rays, from index 0 on. A ray counts if it
@@ -196,10 +194,9 @@ def rays_in_sector(
     sensor_motion = sqrt(x * x + y * y)
     if sensor_motion < _LEAST_SHARE * range_min:
         max_change = asin(sensor_motion / range_min) + _ROUNDING
-    n: cython.Py_ssize_t = len(ranges)
+    n = len(ranges)
     # 3. Moves the rays.
-    count: cython.Py_ssize_t = 0
-    i: cython.Py_ssize_t
+    count = 0
     for i in range(first, n):
         from_start = direction * (bearings[i] + turn - start)
         # A ray that is more than `max_change` outside of the sector is outside from both poses.

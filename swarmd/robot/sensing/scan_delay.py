@@ -22,12 +22,12 @@ TOLERANCE = 0.01
 """Seconds: a smaller delay beyond the declared latency counts as 0, as clocks resolve no less."""
 
 # Share of the bound below which a late scan is in time.
-_CLEARS = cython.declare(cython.double, 0.8)
+_CLEARS = 0.8
 # Spreads (standard deviations) by which the delay by turns must exceed latency and stamps.
-_CERTAIN = cython.declare(cython.double, 2.5)
+_CERTAIN = 2.5
 # s after which a delay by turns no longer makes scans late.
-_EXPIRES = cython.declare(cython.double, 60.0)
-_TOLERANCE = cython.declare(cython.double, TOLERANCE)
+_EXPIRES = 60.0
+_TOLERANCE = TOLERANCE
 
 
 @cython.cclass
@@ -36,17 +36,17 @@ class ScanDelay:
 
     # The delay beyond the declared latency that protection counts. An upper estimate, at least that
     # of the last scan by its stamp; 0 if it is within TOLERANCE.
-    added = cython.declare(cython.double, visibility="readonly")
+    added: float
     # True once `added` exceeds the platform's `max_scan_delay`, until it falls below 0.8 of that.
-    is_late = cython.declare(cython.bint, visibility="readonly")
+    is_late: bool
     # How often stamps jumped, as when the clock of odometry or scan is set. The measurement by
     # stamps then begins anew, and `added` does not fall until stamps give the delay again.
-    restarts = cython.declare(cython.Py_ssize_t, visibility="readonly")
+    restarts: int
     # True if scans are late now, and were in time when stamps jumped last.
-    is_clock_set = cython.declare(cython.bint, visibility="readonly")
-    _latency: cython.double
-    _bound: cython.double
-    _added_before: cython.double
+    is_clock_set: bool
+    _latency: float
+    _bound: float
+    _added_before: float
     _stamps: DelayByStamps
     _turns: DelayByTurns
 
@@ -56,21 +56,13 @@ class ScanDelay:
         self._stamps = DelayByStamps(spec)
         self._turns = DelayByTurns()
 
-    @cython.cfunc
-    def read(
-        self,
-        stamp: cython.double,
-        yaw: cython.double,
-        rate: cython.double,
-        pose: Pose,
-        now: cython.double,
-    ) -> None:
+    def read(self, stamp: float, yaw: float, rate: float, pose: Pose, now: float) -> None:
         """Take in a reading of odometry."""
         if self._stamps.read(stamp, now):
             self._restart()
         self._turns.read(stamp, yaw, rate, pose)
 
-    def on_scan(self, scan: Scan, now: cython.double) -> None:
+    def on_scan(self, scan: Scan, now: float) -> None:
         """Take in a raw scan that arrived at `now` and is valid."""
         offset = self._stamps.offset
         if self._stamps.goes_back(scan.stamp, now):
@@ -93,14 +85,13 @@ class ScanDelay:
         self.is_late = self.added > (_CLEARS * self._bound if self.is_late else self._bound)
         self.is_clock_set = self.is_clock_set and (self.is_late or self._stamps.is_restarting)
 
-    @cython.cfunc
     def _restart(self) -> None:
         self.restarts += 1
         self._added_before = self.added
         self.is_clock_set = self.is_clock_set or not self.is_late
         self._turns.forget_headings()
 
-    def summary(self, now: cython.double) -> ScanDelaySummary:
+    def summary(self, now: float) -> ScanDelaySummary:
         """The figures of both methods, for the status."""
         return ScanDelaySummary(
             declared=self._latency,

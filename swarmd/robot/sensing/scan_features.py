@@ -6,33 +6,29 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from swarmd.core import cython_shadow as cython
 from swarmd.core.angles import PI, TURN, wrap
 from swarmd.core.buffers import view, view_of
-from swarmd.core.cython_shadow import INFINITY, cos, fabs, hypot, sin, sqrt
+from swarmd.core.cython_shadow import INFINITY, Doubles, Table, cos, fabs, hypot, sin, sqrt
 from swarmd.robot.sensing.scan_layout import ScanLayout, layout_of
 
 if TYPE_CHECKING:
     from swarmd.core.values import Array, Scan
 
 # m: the range given to rays without a return, so that they form runs.
-_UNSEEN = cython.declare(cython.double, 1e9)
+_UNSEEN = 1e9
 
 
-def nearest(
-    scan: Scan, bearing: cython.double, half_width: cython.double
-) -> tuple[Any, ...] | None:
+def nearest(scan: Scan, bearing: float, half_width: float) -> tuple[Any, ...] | None:
     """Range and bearing of the ray that `rays.nearest` finds; None without one."""
     layout: ScanLayout | None = layout_of(scan)
     if layout is None:
         return None
     ranges = layout.known
-    n: cython.Py_ssize_t = layout.n
-    least: cython.double = scan.range_min
-    lowest: cython.double = INFINITY
-    index: cython.Py_ssize_t = -1
-    is_sector: cython.bint = half_width < PI
-    i: cython.Py_ssize_t
+    n = layout.n
+    least = scan.range_min
+    lowest = INFINITY
+    index = -1
+    is_sector = half_width < PI
     for i in range(n):
         distance = ranges[i]
         if distance < least:
@@ -47,10 +43,9 @@ def nearest(
 
 def unit_vectors(bearings: Array) -> Array:
     """(n, 2) the unit vectors of `bearings` (n,) in rad."""
-    given: cython.const_double[::1] = view(bearings)
+    given: Doubles = view(bearings)
     vectors = np.empty((len(given), 2))
-    out: cython.double[:, ::1] = view_of(vectors)
-    i: cython.Py_ssize_t
+    out: Table = view_of(vectors)
     for i in range(len(given)):
         angle = given[i]
         out[i, 0] = cos(angle)
@@ -58,7 +53,7 @@ def unit_vectors(bearings: Array) -> Array:
     return vectors
 
 
-def closest_points(scan: Scan, within: cython.double, count: cython.Py_ssize_t) -> Array:
+def closest_points(scan: Scan, within: float, count: int) -> Array:
     """The closest points of a scan: (p, 2) range in m and bearing in rad.
 
     The surroundings are divided into `count` equal sectors. A point is the nearest ray of a sector
@@ -75,30 +70,22 @@ def closest_points(scan: Scan, within: cython.double, count: cython.Py_ssize_t) 
     if not _store_nearest_rays(layout, count, scan.range_min, within):
         return np.empty((0, 2))
     # A local minimum needs two neighbours.
-    point_count: cython.Py_ssize_t = _store_local_minima(layout, count) if count >= 3 else 0
+    point_count = _store_local_minima(layout, count) if count >= 3 else 0
     if point_count == 0:
         point_count = _store_nearest_sectors(layout, count)
     return layout.points[:point_count].copy()
 
 
-@cython.cfunc
-def _store_nearest_rays(
-    layout: ScanLayout,
-    count: cython.Py_ssize_t,
-    range_min: cython.double,
-    within: cython.double,
-) -> cython.bint:
+def _store_nearest_rays(layout: ScanLayout, count: int, range_min: float, within: float) -> bool:
     """Store the nearest ray of each of `count` sectors; False without a return up to `within` m.
 
     Sets `lowest`, the range of this ray, which is at least `range_min` m, and `nearest_ray`, its
     index. A sector without a return up to `within` has the range inf.
     """
     ranges = layout.known
-    ray_count: cython.Py_ssize_t = layout.n
+    ray_count = layout.n
     lowest = layout.lowest
     is_seen = False
-    i: cython.Py_ssize_t
-    k: cython.Py_ssize_t
     for k in range(count):
         lowest[k] = INFINITY
         layout.nearest_ray[k] = 0
@@ -115,13 +102,11 @@ def _store_nearest_rays(
     return is_seen
 
 
-@cython.cfunc
-def _store_local_minima(layout: ScanLayout, count: cython.Py_ssize_t) -> cython.Py_ssize_t:
+def _store_local_minima(layout: ScanLayout, count: int) -> int:
     """Store a point for each sector that is nearer than both neighbours; the number of points."""
     lowest = layout.lowest
     before = lowest[count - 1]
-    point_count: cython.Py_ssize_t = 0
-    k: cython.Py_ssize_t
+    point_count = 0
     for k in range(count):
         after = lowest[k + 1] if k + 1 < count else lowest[0]
         if lowest[k] < before and lowest[k] <= after:
@@ -131,13 +116,11 @@ def _store_local_minima(layout: ScanLayout, count: cython.Py_ssize_t) -> cython.
     return point_count
 
 
-@cython.cfunc
-def _store_nearest_sectors(layout: ScanLayout, count: cython.Py_ssize_t) -> cython.Py_ssize_t:
+def _store_nearest_sectors(layout: ScanLayout, count: int) -> int:
     """Store a point for each sector as near as the nearest sector; the number of points."""
     lowest = layout.lowest
     least = INFINITY
-    point_count: cython.Py_ssize_t = 0
-    k: cython.Py_ssize_t
+    point_count = 0
     for k in range(count):
         least = min(least, lowest[k])
     for k in range(count):
@@ -147,18 +130,12 @@ def _store_nearest_sectors(layout: ScanLayout, count: cython.Py_ssize_t) -> cyth
     return point_count
 
 
-@cython.cfunc
-def _store_point(
-    layout: ScanLayout, place: cython.Py_ssize_t, sector: cython.Py_ssize_t
-) -> cython.int:
+def _store_point(layout: ScanLayout, place: int, sector: int) -> None:
     layout.point[place, 0] = layout.lowest[sector]
     layout.point[place, 1] = layout.wrapped[layout.nearest_ray[sector]]
 
 
-@cython.boundscheck(False)
-def clusters(
-    scan: Scan, within: cython.double, jump: cython.double, grazing: cython.double
-) -> list[tuple[Any, ...]]:
+def clusters(scan: Scan, within: float, jump: float, grazing: float) -> list[tuple[Any, ...]]:
     """The objects in a scan, as `rays.RayClusters` lists them.
 
     An object is a run of neighbouring rays with returns of a single surface. Two neighbouring
@@ -175,15 +152,13 @@ def clusters(
         return []
 
     # Measures each object with a return, once around from the ray behind the last ray of an object.
-    ray_count: cython.Py_ssize_t = layout.n
+    ray_count = layout.n
     ranges = layout.work
     is_last = layout.is_last
-    first: cython.Py_ssize_t = _store_last_rays(layout, jump)
-    last: cython.Py_ssize_t = first + ray_count - 1
+    first = _store_last_rays(layout, jump)
+    last = first + ray_count - 1
     lowest = INFINITY
     objects: list[tuple[Any, ...]] = []
-    i: cython.Py_ssize_t
-    k: cython.Py_ssize_t
     for i in range(first, last + 1):
         k = i - ray_count if i >= ray_count else i  # the index wraps around
         if ranges[k] < lowest:
@@ -196,21 +171,16 @@ def clusters(
     return objects
 
 
-@cython.cfunc
-@cython.boundscheck(False)
-def _store_ranges(
-    layout: ScanLayout, range_min: cython.double, within: cython.double
-) -> cython.bint:
+def _store_ranges(layout: ScanLayout, range_min: float, within: float) -> bool:
     """Store the ranges in the order of bearing; False if no ray has a return up to `within` m.
 
     The range is _UNSEEN for a ray without a return up to `within`, and at least `range_min` m.
     """
     known_ranges = layout.known
     order = layout.order
-    ranges: cython.double[::1] = layout.work
+    ranges: Doubles = layout.work
     is_seen = False
-    count: cython.Py_ssize_t = layout.n
-    i: cython.Py_ssize_t
+    count = layout.n
     for i in range(count):
         distance = known_ranges[order[i]]
         if distance < range_min:
@@ -223,9 +193,7 @@ def _store_ranges(
     return is_seen
 
 
-@cython.cfunc
-@cython.boundscheck(False)
-def _store_last_rays(layout: ScanLayout, jump: cython.double) -> cython.Py_ssize_t:
+def _store_last_rays(layout: ScanLayout, jump: float) -> int:
     """Store in `is_last` which rays are the last ray of an object; the first ray of an object.
 
     The next ray is too far away from the last ray of an object: in angle (`is_apart`), or in range.
@@ -235,9 +203,8 @@ def _store_last_rays(layout: ScanLayout, jump: cython.double) -> cython.Py_ssize
     slopes = layout.slopes
     is_apart = layout.is_apart
     is_last = layout.is_last
-    count: cython.Py_ssize_t = layout.n
-    first: cython.Py_ssize_t = 0
-    i: cython.Py_ssize_t
+    count = layout.n
+    first = 0
     for i in range(count):
         distance = ranges[i]
         after = ranges[i + 1] if i + 1 < count else ranges[0]
@@ -248,17 +215,11 @@ def _store_last_rays(layout: ScanLayout, jump: cython.double) -> cython.Py_ssize
     return max(first, 1)
 
 
-@cython.cfunc
-def _object(
-    layout: ScanLayout,
-    first: cython.Py_ssize_t,
-    last: cython.Py_ssize_t,
-    lowest: cython.double,
-) -> tuple[Any, ...]:
+def _object(layout: ScanLayout, first: int, last: int, lowest: float) -> tuple[Any, ...]:
     """The object of the rays `first` to `last`; indices beyond n wrap around."""
-    n: cython.Py_ssize_t = layout.n
-    begin: cython.Py_ssize_t = first % n
-    end: cython.Py_ssize_t = last % n
+    n = layout.n
+    begin = first % n
+    end = last % n
     start = layout.rising[begin] + (TURN if first >= n else 0.0)
     stop = layout.rising[end] + (TURN if last >= n else 0.0)
     near = layout.work[begin]

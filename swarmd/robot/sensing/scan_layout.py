@@ -9,7 +9,17 @@ import numpy as np
 from swarmd.core import cython_shadow as cython
 from swarmd.core.angles import PI, TURN, wrap
 from swarmd.core.buffers import checked, flags, indices, scratch, view_of
-from swarmd.core.cython_shadow import INFINITY, NAN, isfinite, isnan, rint, tan
+from swarmd.core.cython_shadow import (
+    INFINITY,
+    NAN,
+    Doubles,
+    Indices,
+    Table,
+    isfinite,
+    isnan,
+    rint,
+    tan,
+)
 from swarmd.core.ray_order import sort_rays
 
 if TYPE_CHECKING:
@@ -17,12 +27,10 @@ if TYPE_CHECKING:
 if cython.compiled:
     from cython.cimports.libc.string import memcmp
 
-_MAX_LAYOUTS = cython.declare(cython.int, 8)  # layouts that are kept
-_MAX_STEPS = cython.declare(cython.double, 3.5)  # between rays of one object
+_MAX_LAYOUTS = 8  # layouts that are kept
+_MAX_STEPS = 3.5  # between rays of one object
 
 
-@cython.final
-@cython.auto_pickle(False)
 @cython.cclass
 class ScanLayout:
     """The bearings of a scan and what derives from them; buffers for the features of a scan.
@@ -31,34 +39,34 @@ class ScanLayout:
     scan, and its buffers stay.
     """
 
-    n: cython.Py_ssize_t
-    capacity: cython.Py_ssize_t  # of the buffers
-    given: cython.double[::1]  # bearings
+    n: int
+    capacity: int  # of the buffers
+    given: Doubles  # bearings
     angles: Array  # the array of `wrapped`
-    wrapped: cython.double[::1]  # bearings within [-pi, pi)
+    wrapped: Doubles  # bearings within [-pi, pi)
     scan: Scan | None  # the last one of these bearings, if nothing can change it
-    known: cython.const_double[::1]  # ranges of that scan
+    known: Doubles  # ranges of that scan
     # By rising bearing, see `set_grazing`.
-    is_ordered: cython.bint
-    order: cython.longlong[::1]
-    rising: cython.double[::1]
-    steps: cython.double[::1]  # to the next ray
-    spacing: cython.double  # the median step
-    grazing: cython.double
-    slopes: cython.double[::1]
-    is_apart: cython.uchar[::1]
+    is_ordered: bool
+    order: Indices
+    rising: Doubles
+    steps: Doubles  # to the next ray
+    spacing: float  # the median step
+    grazing: float
+    slopes: Doubles
+    is_apart: Indices
     # Of `count` equal sectors.
-    count: cython.Py_ssize_t
-    sector: cython.longlong[::1]  # of each ray
-    lowest: cython.double[::1]  # range in each sector
-    nearest_ray: cython.Py_ssize_t[::1]
+    count: int
+    sector: Indices  # of each ray
+    lowest: Doubles  # range in each sector
+    nearest_ray: Indices
     points: Array  # (count, 2) closest points: range and bearing
-    point: cython.double[:, ::1]  # the view of `points`
+    point: Table  # the view of `points`
     # Of the objects in a scan.
-    work: cython.double[::1]  # ranges by rising bearing
-    is_last: cython.uchar[::1]  # rays at whose end an object ends
+    work: Doubles  # ranges by rising bearing
+    is_last: Indices  # rays at whose end an object ends
 
-    def __init__(self, n: cython.Py_ssize_t) -> None:
+    def __init__(self, n: int) -> None:
         """For up to n bearings."""
         self.capacity = n
         self.angles = np.empty(n)
@@ -73,21 +81,18 @@ class ScanLayout:
         self.is_apart = flags(n)
         self.is_last = flags(n)
 
-    @cython.cfunc
-    def is_of(self, bearings: cython.const_double[::1]) -> cython.bint:
+    def is_of(self, bearings: Doubles) -> bool:
         """True if these are its bearings."""
-        n: cython.Py_ssize_t = self.n
+        n = self.n
         if len(bearings) != n:
             return False
         if cython.compiled:
             return memcmp(cython.address(bearings[0]), cython.address(self.given[0]), 8 * n) == 0
         return list(bearings) == self.given[:n]
 
-    @cython.ccall
-    def set_bearings(self, bearings: cython.const_double[::1]) -> cython.int:
+    def set_bearings(self, bearings: Doubles) -> None:
         """Take other bearings; IndexError if they are more than the layout has room for."""
-        i: cython.Py_ssize_t
-        n: cython.Py_ssize_t = len(bearings)
+        n = len(bearings)
         given = checked(self.given, n)
         wrapped = checked(self.wrapped, n)
         self.n = n
@@ -101,9 +106,7 @@ class ScanLayout:
         self.grazing = NAN
         self.count = -1
 
-    @cython.cfunc
-    @cython.boundscheck(False)
-    def set_grazing(self, grazing: cython.double) -> None:
+    def set_grazing(self, grazing: float) -> None:
         """Set the order of the rays by rising bearing, and `slopes` and `is_apart` of each ray.
 
         `slopes`: how much the range changes to the next ray on a surface at `grazing` rad to the
@@ -114,7 +117,6 @@ class ScanLayout:
             self.set_order()
         if grazing == self.grazing:
             return
-        i: cython.Py_ssize_t
         slope = tan(grazing)
         max_step = min(_MAX_STEPS * self.spacing, 0.5 * PI)
         for i in range(self.n):
@@ -122,15 +124,12 @@ class ScanLayout:
             self.is_apart[i] = self.steps[i] >= max_step
         self.grazing = grazing
 
-    @cython.cfunc
-    @cython.boundscheck(False)
     def set_order(self) -> None:
         """Set the order of the rays by rising bearing, their `steps` and the `spacing` in rad.
 
         A step is the angle to the next ray in this order, and `spacing` the median step.
         """
-        count: cython.Py_ssize_t = self.n
-        i: cython.Py_ssize_t
+        count = self.n
         sort_rays(self.wrapped, count, self.rising, self.order)
         for i in range(count - 1):
             self.steps[i] = self.rising[i + 1] - self.rising[i]
@@ -140,8 +139,7 @@ class ScanLayout:
         self.spacing = _smallest(self.slopes, count, count // 2)
         self.is_ordered = True
 
-    @cython.cfunc
-    def set_sectors(self, count: cython.Py_ssize_t) -> None:
+    def set_sectors(self, count: int) -> None:
         """Set the sector of each ray."""
         if count == self.count:
             return
@@ -151,8 +149,6 @@ class ScanLayout:
             self.lowest = scratch(count)
             self.nearest_ray = np.empty(count, np.intp).data
         share = count / TURN
-        i: cython.Py_ssize_t
-        sector: cython.longlong
         for i in range(self.n):
             # Below `count` on either side, so that no slow modulo is needed.
             sector = cython.cast(cython.longlong, rint(self.wrapped[i] * share))
@@ -160,16 +156,10 @@ class ScanLayout:
         self.count = count
 
 
-@cython.cfunc
-@cython.boundscheck(False)
-def _smallest(
-    values: cython.double[::1], n: cython.Py_ssize_t, k: cython.Py_ssize_t
-) -> cython.double:
+def _smallest(values: Doubles, n: int, k: int) -> float:
     """The element of rank k of the first n, which get another order (Hoare's algorithm FIND)."""
-    low: cython.Py_ssize_t = 0
-    high: cython.Py_ssize_t = n - 1
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
+    low = 0
+    high = n - 1
     while low < high:
         middle = values[k]
         i = low
@@ -196,7 +186,6 @@ def _smallest(
 _layouts: list[ScanLayout] = []
 
 
-@cython.cfunc
 def layout_of(scan: Scan) -> ScanLayout | None:
     """The layout of the known rays of a scan, with their ranges; None without any."""
     layout: ScanLayout
@@ -211,8 +200,7 @@ def layout_of(scan: Scan) -> ScanLayout | None:
         raise ValueError(
             f"ranges {ranges.shape} and bearings {bearings.shape} of a scan; expected both (n,)"
         )
-    known: cython.const_double[::1] = view_of(ranges)
-    i: cython.Py_ssize_t
+    known: Doubles = view_of(ranges)
     for i in range(len(known)):
         if isnan(known[i]):
             is_known = ~np.isnan(ranges)
@@ -221,7 +209,7 @@ def layout_of(scan: Scan) -> ScanLayout | None:
             break
     if not len(known):
         return None
-    view: cython.const_double[::1] = view_of(bearings)
+    view: Doubles = view_of(bearings)
     for layout in _layouts:
         if layout.is_of(view):
             break
@@ -233,8 +221,7 @@ def layout_of(scan: Scan) -> ScanLayout | None:
     return layout
 
 
-@cython.cfunc
-def _new_layout(view: cython.const_double[::1]) -> ScanLayout:
+def _new_layout(view: Doubles) -> ScanLayout:
     """The layout of other bearings, in place of the oldest one."""
     layout: ScanLayout = _layouts.pop() if len(_layouts) == _MAX_LAYOUTS else ScanLayout(len(view))
     if layout.capacity < len(view):

@@ -14,20 +14,16 @@ import numpy as np
 
 from swarmd.core import cython_shadow as cython
 from swarmd.core.buffers import view
-from swarmd.core.cython_shadow import INFINITY, fabs, hypot, sqrt
+from swarmd.core.cython_shadow import INFINITY, Table, fabs, hypot, sqrt
 from swarmd.core.values import Array
 from swarmd.robot.protection.closing_speed import DECISION_PERIOD
 from swarmd.robot.protection.stopping import IDEAL_BRAKING, StopMotion
 
-_FENCE_STEPS = cython.declare(cython.Py_ssize_t, 8)  # of a simulated stop
-_PLACE_ROUNDING = cython.declare(cython.double, 1e-9)  # m
+_FENCE_STEPS = 8  # of a simulated stop
+_PLACE_ROUNDING = 1e-9  # m
 
 
-@cython.cfunc
-@cython.exceptval(check=False)
-def _squared_distance(
-    edges: cython.double[:, ::1], i: cython.Py_ssize_t, x: cython.double, y: cython.double
-) -> cython.double:
+def _squared_distance(edges: Table, i: int, x: float, y: float) -> float:
     """The squared distance of a place to edge `i`."""
     along_x = edges[i, 2] - edges[i, 0]
     along_y = edges[i, 3] - edges[i, 1]
@@ -40,11 +36,8 @@ def _squared_distance(
     return dx * dx + dy * dy
 
 
-@cython.cfunc
-@cython.exceptval(check=False)
-def _permits(edges: cython.double[:, ::1], x: cython.double, y: cython.double) -> cython.bint:
+def _permits(edges: Table, x: float, y: float) -> bool:
     """True within the outer polygon and outside all others: even-odd rule."""
-    i: cython.Py_ssize_t
     polygon = 0.0
     is_within = False
     for i in range(len(edges)):
@@ -62,23 +55,13 @@ def _permits(edges: cython.double[:, ::1], x: cython.double, y: cython.double) -
     return is_within == (polygon == 0.0)
 
 
-@cython.cfunc
-@cython.exceptval(check=False)
-def _clearance(
-    edges: cython.double[:, ::1],
-    near: cython.double[:, ::1],
-    count: cython.Py_ssize_t,
-    x: cython.double,
-    y: cython.double,
-    radius: cython.double,
-) -> cython.double:
+def _clearance(edges: Table, near: Table, count: int, x: float, y: float, radius: float) -> float:
     """The clearance in m of a circle of `radius` m around the place (x, y).
 
     Within the fence: the distance from the place to the nearest edge, less `radius`. For a place
     outside: minus the distance, less `radius`. `edges`: all edges of the fence. `near`: its first
     `count` rows are the edges that may be the nearest.
     """
-    i: cython.Py_ssize_t
     least = INFINITY
     for i in range(count):
         squared = _squared_distance(near, i, x, y)
@@ -88,34 +71,28 @@ def _clearance(
     return (away if _permits(edges, x, y) else -away) - radius
 
 
-def clearances(edges: Array, places: Array, radius: cython.double) -> Array:
+def clearances(edges: Array, places: Array, radius: float) -> Array:
     """(n,) m from the circles of `radius` around `places` (n, 2) to the fence; negative outside."""
-    table: cython.double[:, ::1] = view(edges)
-    given: cython.double[:, ::1] = view(places)
-    i: cython.Py_ssize_t
+    table: Table = view(edges)
+    given: Table = view(places)
     found = np.empty(len(places))
     for i in range(len(given)):
         found[i] = _clearance(table, table, len(table), given[i, 0], given[i, 1], radius)
     return found
 
 
-def clearance(edges: Array, x: cython.double, y: cython.double, radius: cython.double) -> float:
+def clearance(edges: Array, x: float, y: float, radius: float) -> float:
     """The clearance of one place."""
-    table: cython.double[:, ::1] = view(edges)
+    table: Table = view(edges)
     return _clearance(table, table, len(table), x, y, radius)
 
 
-@cython.cfunc
-def _nearby(
-    edges: cython.double[:, ::1], x: cython.double, y: cython.double, way: cython.double
-) -> tuple[Any, cython.Py_ssize_t]:
+def _nearby(edges: Table, x: float, y: float, way: float) -> tuple[Any, cython.Py_ssize_t]:
     """The edges that may be the nearest of a place within `way` of (x, y), and their number."""
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
-    count: cython.Py_ssize_t = 0
+    count = 0
     least = INFINITY
     found = np.empty((len(edges), 5))
-    near: cython.double[:, ::1] = view(found)
+    near: Table = view(found)
     for i in range(len(edges)):
         least = min(least, _squared_distance(edges, i, x, y))
     most = sqrt(least) + 2.0 * way + _PLACE_ROUNDING
@@ -127,34 +104,28 @@ def _nearby(
     return near, count
 
 
-@cython.final
-@cython.auto_pickle(False)
 @cython.cclass
 class _Stops:
     """Simulated stops of one robot, from one pose."""
 
-    edges: cython.double[:, ::1]
-    near: cython.double[:, ::1]  # the edges that a stop can come near, `count` of them
-    count: cython.Py_ssize_t
-    radius: cython.double  # m, of the circle around the axle
-    x: cython.double
-    y: cython.double
-    yaw: cython.double
-    present: cython.double  # m, the clearance at this pose
-    need: cython.double  # m, the clearance that errors and margin need
-    turn_error: cython.double  # rad by which the direction of the motion may be wrong
-    speed_ahead: cython.double  # of the base
-    speed_left: cython.double
-    speed_turn: cython.double
-    braking: cython.double
-    turning: cython.double
+    edges: Table
+    near: Table  # the edges that a stop can come near, `count` of them
+    count: int
+    radius: float  # m, of the circle around the axle
+    x: float
+    y: float
+    yaw: float
+    present: float  # m, the clearance at this pose
+    need: float  # m, the clearance that errors and margin need
+    turn_error: float  # rad by which the direction of the motion may be wrong
+    speed_ahead: float  # of the base
+    speed_left: float
+    speed_turn: float
+    braking: float
+    turning: float
     motion: StopMotion
 
-    @cython.cfunc
-    @cython.exceptval(check=False)
-    def permits(
-        self, ahead: cython.double, left: cython.double, turn: cython.double
-    ) -> cython.bint:
+    def permits(self, ahead: float, left: float, turn: float) -> bool:
         """True if all stops from a command are inside.
 
         There are four stops. Three stops begin at the command: with both brakes as weak as assumed,
@@ -178,19 +149,17 @@ class _Stops:
             )
         )
 
-    @cython.cfunc
-    @cython.exceptval(check=False)
     def is_inside(
         self,
-        ahead: cython.double,
-        left: cython.double,
-        turn: cython.double,
-        to_ahead: cython.double,
-        to_left: cython.double,
-        to_turn: cython.double,
-        braking: cython.double,
-        turning: cython.double,
-    ) -> cython.bint:
+        ahead: float,
+        left: float,
+        turn: float,
+        to_ahead: float,
+        to_left: float,
+        to_turn: float,
+        braking: float,
+        turning: float,
+    ) -> bool:
         """True if the circle stays clear, or comes inwards, in a stop.
 
         The base begins at the speeds `ahead`, `left` and `turn`, which change towards `to_ahead`,
@@ -212,7 +181,6 @@ class _Stops:
         last_room = self.present  # m, the clearance at the step before
         motion: StopMotion = self.motion
         motion.begin(1.0, 0.0, self.yaw)
-        i: cython.Py_ssize_t
         for i in range(_FENCE_STEPS):
             # 1. Moves the axle.
             motion.advance(
@@ -239,8 +207,8 @@ class _Stops:
                 self.radius,
             )
             off = self.turn_error * way
-            is_clear: cython.bint = room >= self.need + off + 0.5 * moved
-            has_fallen: cython.bint = room < last_room - _PLACE_ROUNDING
+            is_clear = room >= self.need + off + 0.5 * moved
+            has_fallen = room < last_room - _PLACE_ROUNDING
             has_risen = not room < self.present + off - _PLACE_ROUNDING
             comes_inwards = has_risen and not has_fallen
             if not (is_clear or comes_inwards):
@@ -275,8 +243,8 @@ def nearest_permitted(
         brakings: m/s2 and rad/s2.
         room: `radius`, `present`, `need` and `turn_error` of `_Stops`.
     """
-    table: cython.double[:, ::1] = view(edges)
-    given: cython.double[:, ::1] = view(shares)
+    table: Table = view(edges)
+    given: Table = view(shares)
     ahead = request[0]
     left = request[1]
     turn = request[2]
@@ -299,12 +267,11 @@ def nearest_permitted(
     if stops.permits(ahead, left, turn):
         return len(given)
     # 2. The nearest permitted share.
-    best: cython.Py_ssize_t = -1
+    best = -1
     least = INFINITY
-    i: cython.Py_ssize_t
     for i in range(len(given)):
-        share: cython.double = given[i, 0]
-        turn_share: cython.double = given[i, 1]
+        share = given[i, 0]
+        turn_share = given[i, 1]
         off = hypot((1.0 - share) * linear_size, (1.0 - turn_share) * turn_size)
         if off < least and stops.permits(ahead * share, left * share, turn * turn_share):
             best = i

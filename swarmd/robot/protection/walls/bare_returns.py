@@ -36,7 +36,7 @@ from __future__ import annotations
 from swarmd.core import cython_shadow as cython
 from swarmd.core.angles import TURN
 from swarmd.core.buffers import doubles, indices
-from swarmd.core.cython_shadow import INFINITY, fabs, hypot, sqrt
+from swarmd.core.cython_shadow import INFINITY, Doubles, Indices, Table, fabs, hypot, sqrt
 from swarmd.core.values import Platform
 from swarmd.robot.protection.barrier_assumptions import BARE_WALL, WALL
 from swarmd.robot.protection.obstacles import REACH
@@ -45,50 +45,49 @@ from swarmd.robot.protection.walls.straight_runs import Run, StraightRuns
 
 # m, the narrowest part of any platform in the scan plane. The lidar heads of TurtleBots have
 # diameters of 0.072 and 0.11 m.
-_PART = cython.declare(cython.double, 0.05)
-_HEAD = cython.declare(cython.double, 0.11)  # m, the diameter of the widest of these heads
-_PARALLEL_RAY = cython.declare(cython.double, 1e-6)  # the sine of the angle between ray and line
+_PART = 0.05
+_HEAD = 0.11  # m, the diameter of the widest of these heads
+_PARALLEL_RAY = 1e-6  # the sine of the angle between ray and line
 # Sectors of rays without a measurement within a stretch. Of 150 rays of which 1 % are lost, 98 of
 # 100 scans have no more. A row of legs of 12 cm has more along 1 m.
-_LOST_SECTORS = cython.declare(cython.Py_ssize_t, 4)
+_LOST_SECTORS = 4
 # m: a stretch bends with a larger radius. Noise of 1 cm changes 1 / radius of a stretch of 1 m by
 # some 0.03 / m (one standard deviation). A tank of 5 m radius has 0.2 / m.
-_FLAT_RADIUS = cython.declare(cython.double, 10.0)
-_LEAST_MEMBERS = cython.declare(cython.Py_ssize_t, 20)  # members of a stretch
+_FLAT_RADIUS = 10.0
+_LEAST_MEMBERS = 20  # members of a stretch
 # rad: a sector as wide may be open space.
-_WIDE_SECTOR = cython.declare(cython.double, 1.0)
+_WIDE_SECTOR = 1.0
 
 # What this scan knows of a ray.
-_UNMEASURED = cython.declare(cython.longlong, 0)
-_RETURN = cython.declare(cython.longlong, 1)
-_TOO_CLOSE = cython.declare(cython.longlong, 2)
-_BORROWED = cython.declare(cython.longlong, 3)  # of the scan before, and not in the order of rays
+_UNMEASURED = 0
+_RETURN = 1
+_TOO_CLOSE = 2
+_BORROWED = 3  # of the scan before, and not in the order of rays
 
 
-@cython.final
 @cython.cclass
 class BareReturns:
     """The bare returns of one scan."""
 
-    longest_heard: cython.double  # m, the longest diagonal of the platforms of all peers
-    _length: cython.double  # m, the least length of a stretch
-    _extent: cython.double  # m, `unseen_extent`
+    longest_heard: float  # m, the longest diagonal of the platforms of all peers
+    _length: float  # m, the least length of a stretch
+    _extent: float  # m, `unseen_extent`
     _outline: Outline
-    _range_min: cython.double
-    _lidar_height: cython.double  # m of the lidar above the line of the present run
-    _rays: cython.Py_ssize_t
-    _borrowed: cython.Py_ssize_t  # of these, the first ones
+    _range_min: float
+    _lidar_height: float  # m of the lidar above the line of the present run
+    _rays: int
+    _borrowed: int  # of these, the first ones
     # For each ray.
-    _state: cython.longlong[::1]  # _UNMEASURED, _RETURN, _TOO_CLOSE or _BORROWED
-    _x: cython.double[::1]  # m, the place of a finite range, measured or filled
-    _y: cython.double[::1]
-    _hides_from: cython.double[::1]  # m from the lidar, of an unmeasured ray: a part may hide there
-    _is_open: cython.longlong[::1]  # 1: an unmeasured ray of a sector as wide as open space
-    _is_member: cython.longlong[::1]  # 1: measured, and on the line of the present run
-    _along: cython.double[::1]  # m along the line of the present run, of a member
-    _across: cython.double[::1]
-    _is_candidate: cython.longlong[::1]
-    _stretch: cython.longlong[::1]  # the members of the present stretch
+    _state: Indices  # _UNMEASURED, _RETURN, _TOO_CLOSE or _BORROWED
+    _x: Doubles  # m, the place of a finite range, measured or filled
+    _y: Doubles
+    _hides_from: Doubles  # m from the lidar, of an unmeasured ray: a part may hide there
+    _is_open: Indices  # 1: an unmeasured ray of a sector as wide as open space
+    _is_member: Indices  # 1: measured, and on the line of the present run
+    _along: Doubles  # m along the line of the present run, of a member
+    _across: Doubles
+    _is_candidate: Indices
+    _stretch: Indices  # the members of the present stretch
 
     def __init__(self, platform: Platform, length: float, extent: float) -> None:
         """`length`: m, the least length of a wall. `extent`: m, the `unseen_extent`."""
@@ -119,26 +118,22 @@ class BareReturns:
         self._hides_from = doubles(rays)
         self._is_open = indices(rays)
 
-    @cython.cfunc
-    @cython.exceptval(-1)
     def mark(
         self,
-        kinds: cython.longlong[::1],
+        kinds: Indices,
         runs: StraightRuns,
-        ranges: cython.const_double[::1],
-        directions: cython.double[::1],
-        ages: cython.const_double[::1],
-        filled: cython.const_double[::1],
-        borrowed: cython.Py_ssize_t,
-        hidden: cython.double[:, ::1],
-    ) -> cython.int:
-        """Change the kind of each bare return from WALL to BARE_WALL; 1 if there is any.
+        ranges: Doubles,
+        directions: Doubles,
+        ages: Doubles,
+        filled: Doubles,
+        borrowed: int,
+        hidden: Table,
+    ) -> bool:
+        """Change the kind of each bare return from WALL to BARE_WALL; True if there is any.
 
         `runs`: the straight runs of this scan. The other arguments are those of
         `ReturnLayer.observe`; directions of all rays are set.
         """
-        i: cython.Py_ssize_t
-        j: cython.Py_ssize_t
         is_any = False
         self._rays = len(ranges)
         self._borrowed = borrowed
@@ -163,26 +158,18 @@ class BareReturns:
                     is_any = True
         return is_any != 0
 
-    @cython.cfunc
-    @cython.exceptval(-1)
     def _place_rays(
-        self,
-        ranges: cython.const_double[::1],
-        directions: cython.double[::1],
-        ages: cython.const_double[::1],
-        filled: cython.const_double[::1],
-        oldest: cython.double,
-    ) -> cython.int:
+        self, ranges: Doubles, directions: Doubles, ages: Doubles, filled: Doubles, oldest: float
+    ) -> None:
         """Find what this scan knows of each ray, and the place of each finite range.
 
         `oldest`: s, the greatest age of a ray of this revolution.
         """
-        i: cython.Py_ssize_t
         outline: Outline = self._outline
         for i in range(self._rays):
             distance = ranges[i]
-            is_filled: cython.bint = len(filled) > 0 and filled[i] != 0.0
-            is_of_revolution: cython.bint = len(ages) == 0 or ages[i] <= oldest
+            is_filled = len(filled) > 0 and filled[i] != 0.0
+            is_of_revolution = len(ages) == 0 or ages[i] <= oldest
             self._x[i] = outline.lidar_x + distance * directions[2 * i]
             self._y[i] = outline.lidar_y + distance * directions[2 * i + 1]
             if i < self._borrowed:
@@ -193,28 +180,24 @@ class BareReturns:
                 self._state[i] = _RETURN
             else:
                 self._state[i] = _UNMEASURED
-        return 0
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _find_hiding(self, directions: cython.double[::1]) -> cython.int:
+    def _find_hiding(self, directions: Doubles) -> None:
         """Find from which distance on a part may hide along each unmeasured ray.
 
         A part of _PART m fits between the two measured rays at the edges of a sector from the
         distance on at which these rays are _PART m apart. No part is within the own outline.
         """
-        k: cython.Py_ssize_t
-        own: cython.Py_ssize_t = self._rays - self._borrowed  # rays of this scan
-        first: cython.Py_ssize_t = 0
+        own = self._rays - self._borrowed  # rays of this scan
+        first = 0
         while first < own and self._state[self._own_ray(first)] == _UNMEASURED:
             first += 1
         # 1. Each measured ray ends the sector behind the measured ray before; without one, the
         # whole turn is one sector.
-        begin: cython.Py_ssize_t = first if first < own else 0
-        last: cython.Py_ssize_t = begin
+        begin = first if first < own else 0
+        last = begin
         angle = 0.0 if first < own else INFINITY
         for k in range(begin + 1, begin + own + 1):
-            i: cython.Py_ssize_t = self._own_ray(k)
+            i = self._own_ray(k)
             angle += _between(directions, self._own_ray(k - 1), i)
             if self._state[i] == _UNMEASURED and k < begin + own:
                 continue
@@ -228,107 +211,73 @@ class BareReturns:
                 angle += _between(directions, k - 1, k)
             for k in range(self._borrowed):
                 self._hide(k, angle, directions)
-        return 0
 
-    @cython.cfunc
-    @cython.inline
-    @cython.exceptval(-2)
-    def _own_ray(self, number: cython.Py_ssize_t) -> cython.Py_ssize_t:
+    def _own_ray(self, number: int) -> int:
         """The index of a ray of this scan; the first ray follows the last one.
 
         `number`: from 0 to below twice the rays of this scan.
         """
-        own: cython.Py_ssize_t = self._rays - self._borrowed
+        own = self._rays - self._borrowed
         return self._borrowed + (number - own if number >= own else number)
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _set_hiding(
-        self,
-        last: cython.Py_ssize_t,
-        end: cython.Py_ssize_t,
-        angle: cython.double,
-        directions: cython.double[::1],
-    ) -> cython.int:
+    def _set_hiding(self, last: int, end: int, angle: float, directions: Doubles) -> None:
         """Set `_hides_from` of the unmeasured rays of this scan from number `last` to `end`.
 
         `angle`: rad, the width of the sector.
         """
-        k: cython.Py_ssize_t
         for k in range(last, end + 1):
-            i: cython.Py_ssize_t = self._own_ray(k)
+            i = self._own_ray(k)
             if self._state[i] == _UNMEASURED:
                 self._hide(i, angle, directions)
-        return 0
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _hide(
-        self, ray: cython.Py_ssize_t, angle: cython.double, directions: cython.double[::1]
-    ) -> cython.int:
+    def _hide(self, ray: int, angle: float, directions: Doubles) -> None:
         """Set `_hides_from` of a ray in a sector of `angle` rad."""
         self._is_open[ray] = angle >= _WIDE_SECTOR
         least = _PART / angle if angle > 0.0 else INFINITY
         outline = self._outline.along_ray(directions[2 * ray], directions[2 * ray + 1])
         self._hides_from[ray] = outline if outline > least else least
-        return 0
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _find_members(self, run: Run, runs: StraightRuns) -> cython.int:
+    def _find_members(self, run: Run, runs: StraightRuns) -> None:
         """Find the rays of this scan that are on the line of a run; no ray is a candidate yet."""
-        i: cython.Py_ssize_t
-        k: cython.Py_ssize_t
         for i in range(self._rays):
             self._is_member[i] = 0
             self._is_candidate[i] = 0
         for k in range(run.length + 1):
             along = runs.along(run, k)
-            ray: cython.Py_ssize_t = runs.ray[runs.return_of(run, k)]
-            is_on_line: cython.bint = along == along  # NaN for a return off the line
+            ray = runs.ray[runs.return_of(run, k)]
+            is_on_line = along == along  # NaN for a return off the line
             if is_on_line and self._state[ray] == _RETURN:
                 self._is_member[ray] = 1
                 self._along[ray] = along
                 self._across[ray] = self._height(run, runs, self._x[ray], self._y[ray])
-        return 0
 
-    @cython.cfunc
-    @cython.inline
-    @cython.exceptval(check=False)
-    def _height(
-        self, run: Run, runs: StraightRuns, x: cython.double, y: cython.double
-    ) -> cython.double:
+    def _height(self, run: Run, runs: StraightRuns, x: float, y: float) -> float:
         """m by which a place lies before the line of a run, seen from the lidar; < 0: behind."""
         side = run.ux * (runs.lidar_y - run.y) - run.uy * (runs.lidar_x - run.x)
         height = run.ux * (y - run.y) - run.uy * (x - run.x)
         return height if side >= 0.0 else -height
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _find_stretches(
-        self, run: Run, runs: StraightRuns, kinds: cython.longlong[::1]
-    ) -> cython.int:
-        """Find the stretches of a run, and mark their candidates; 1 if there is a candidate."""
-        k: cython.Py_ssize_t
-        own: cython.Py_ssize_t = self._rays - self._borrowed
-        first: cython.Py_ssize_t = runs.ray[run.first] - self._borrowed
-        last: cython.Py_ssize_t = runs.ray[runs.return_of(run, run.length)] - self._borrowed
+    def _find_stretches(self, run: Run, runs: StraightRuns, kinds: Indices) -> bool:
+        """Find the stretches of a run, and mark their candidates; True if there is a candidate."""
+        own = self._rays - self._borrowed
+        first = runs.ray[run.first] - self._borrowed
+        last = runs.ray[runs.return_of(run, run.length)] - self._borrowed
         # A run that begins or ends with a borrowed ray begins or ends at the first ray.
         first = first if first > 0 else 0
         last = last if last > 0 else 0
-        steps: cython.Py_ssize_t = last - first if last >= first else last - first + own
-        count: cython.Py_ssize_t = 0  # members of the present stretch
-        lost: cython.Py_ssize_t = 0  # sectors of unmeasured rays in it
+        steps = last - first if last >= first else last - first + own
+        count = 0  # members of the present stretch
+        lost = 0  # sectors of unmeasured rays in it
         is_lost = False  # the ray before was not measured
         is_any = False
         for k in range(steps + 1):
-            i: cython.Py_ssize_t = self._own_ray(first + k)
+            i = self._own_ray(first + k)
             if self._state[i] == _UNMEASURED:
                 is_lost = True
                 continue
-            is_next: cython.bint = False
+            is_next = False
             if self._is_member[i] and count:
-                before: cython.Py_ssize_t = self._stretch[count - 1]
+                before = self._stretch[count - 1]
                 spacing = hypot(self._x[i] - self._x[before], self._y[i] - self._y[before])
                 is_next = spacing < _PART
             if not is_next:  # ends the stretch before this ray
@@ -346,36 +295,29 @@ class BareReturns:
             is_any = True
         return is_any != 0
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _take_stretch(
-        self, count: cython.Py_ssize_t, lost: cython.Py_ssize_t, kinds: cython.longlong[::1]
-    ) -> cython.int:
-        """Mark the candidates of the present stretch, if it is long and flat; 1 if there are any.
+    def _take_stretch(self, count: int, lost: int, kinds: Indices) -> bool:
+        """Mark the candidates of the present stretch, if long and flat; True if there are any.
 
         `count`: its members. `lost`: its sectors of unmeasured rays.
         """
         if count < 1 or lost > _LOST_SECTORS:
-            return 0
-        first: cython.Py_ssize_t = self._stretch[0]
-        last: cython.Py_ssize_t = self._stretch[count - 1]
+            return False
+        first = self._stretch[0]
+        last = self._stretch[count - 1]
         length = fabs(self._along[last] - self._along[first])
         if not (length >= self._length and length >= self.longest_heard):
-            return 0
+            return False
         if not self._is_flat(count):
-            return 0
+            return False
         return self._mark_candidates(count, kinds)
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _is_flat(self, count: cython.Py_ssize_t) -> cython.int:
-        """1 if the first `count` of `_stretch` bend with a radius of at least _FLAT_RADIUS m.
+    def _is_flat(self, count: int) -> bool:
+        """True if the first `count` of `_stretch` bend with a radius of at least _FLAT_RADIUS m.
 
         A parabola is fitted by least squares, as in `StraightRuns._is_straight`.
         """
         if count < _LEAST_MEMBERS:
-            return 0
-        k: cython.Py_ssize_t
+            return False
         mean = 0.0
         for k in range(count):
             mean += self._along[self._stretch[k]]
@@ -389,7 +331,7 @@ class BareReturns:
         variance /= count
         third /= count
         if not variance > 0.0:
-            return 0
+            return False
         covariance = 0.0
         square = 0.0
         for k in range(count):
@@ -401,34 +343,26 @@ class BareReturns:
         # The radius is 1 / (2 * covariance / square).
         return 2.0 * fabs(covariance) * _FLAT_RADIUS <= square
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _mark_candidates(self, count: cython.Py_ssize_t, kinds: cython.longlong[::1]) -> cython.int:
+    def _mark_candidates(self, count: int, kinds: Indices) -> bool:
         """Mark the members of a stretch of the kind WALL whose neighbour rays are members, too."""
-        k: cython.Py_ssize_t
         is_any = False
         for k in range(1, count - 1):
-            i: cython.Py_ssize_t = self._stretch[k]
-            number: cython.Py_ssize_t = i - self._borrowed
-            is_behind: cython.bint = self._own_ray(self._stretch[k - 1] - self._borrowed + 1) == i
-            is_before: cython.bint = self._own_ray(number + 1) == self._stretch[k + 1]
+            i = self._stretch[k]
+            number = i - self._borrowed
+            is_behind = self._own_ray(self._stretch[k - 1] - self._borrowed + 1) == i
+            is_before = self._own_ray(number + 1) == self._stretch[k + 1]
             if is_behind and is_before and kinds[i] == WALL:
                 self._is_candidate[i] = 1
                 is_any = True
         return is_any != 0
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _deny_returns(
-        self, run: Run, runs: StraightRuns, directions: cython.double[::1]
-    ) -> cython.int:
+    def _deny_returns(self, run: Run, runs: StraightRuns, directions: Doubles) -> None:
         """Deny candidates near a range that is not of the run, measured or filled.
 
         A filled range on the line of the run is an earlier return of the wall. A return too close
         to measure is anywhere between the lidar and `range_min`, or the outline if it is farther.
         Another body may stand in the shadow of a return, between it and the wall.
         """
-        i: cython.Py_ssize_t
         shadow_end = REACH + self._extent
         for i in range(self._rays):
             if self._is_member[i]:
@@ -442,49 +376,37 @@ class BareReturns:
                 continue
             x = self._x[i]
             y = self._y[i]
-            is_finite: cython.bint = x - x == 0.0 and y - y == 0.0
+            is_finite = x - x == 0.0 and y - y == 0.0
             if not is_finite:
                 continue
-            is_measured: cython.bint = self._state[i] == _RETURN
-            is_filled_wall: cython.bint = not is_measured and runs.is_on_line(run, x, y) != 0
+            is_measured = self._state[i] == _RETURN
+            is_filled_wall = not is_measured and runs.is_on_line(run, x, y) != 0
             if not is_filled_wall:
                 self._deny_beside(run, runs, x, y)
                 distance = hypot(x - runs.lidar_x, y - runs.lidar_y)
                 self._deny_along(
                     run, runs, directions[2 * i], directions[2 * i + 1], distance, shadow_end
                 )
-        return 0
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _deny_hidden(
-        self, run: Run, runs: StraightRuns, hidden: cython.double[:, ::1]
-    ) -> cython.int:
+    def _deny_hidden(self, run: Run, runs: StraightRuns, hidden: Table) -> None:
         """Deny candidates near an obstacle in the memory of the blind zone.
 
         The obstacle is between its least distance from the lidar and `range_min`.
         """
-        i: cython.Py_ssize_t
         for i in range(len(hidden)):
             least = hidden[i, 2]
             farthest = least if least > self._range_min else self._range_min
             self._deny_along(run, runs, hidden[i, 0], hidden[i, 1], least, farthest)
-        return 0
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _deny_unmeasured(
-        self, run: Run, runs: StraightRuns, directions: cython.double[::1]
-    ) -> cython.int:
+    def _deny_unmeasured(self, run: Run, runs: StraightRuns, directions: Doubles) -> None:
         """Deny candidates near rays without a measurement along which a part may hide.
 
         Of a ray towards open space only the place counts at which the ray meets the line of the
         run: else no robot would find a bare wall in the open.
         """
-        i: cython.Py_ssize_t
         farthest = REACH + self._extent
         for i in range(self._rays):
-            is_measured: cython.bint = self._state[i] == _RETURN or self._state[i] == _TOO_CLOSE
+            is_measured = self._state[i] == _RETURN or self._state[i] == _TOO_CLOSE
             if is_measured or not self._hides_from[i] < farthest:
                 continue
             ray_x = directions[2 * i]
@@ -497,30 +419,22 @@ class BareReturns:
                 crossing = self._lidar_height / sine
                 place = self._place(run, runs, ray_x, ray_y, crossing)
                 self._deny(place - self._extent, place + self._extent)
-        return 0
 
-    @cython.cfunc
-    @cython.inline
-    @cython.exceptval(check=False)
-    def _rise(
-        self, run: Run, runs: StraightRuns, ray_x: cython.double, ray_y: cython.double
-    ) -> cython.double:
+    def _rise(self, run: Run, runs: StraightRuns, ray_x: float, ray_y: float) -> float:
         """The sine of the angle by which a ray leads away from the line of a run."""
         side = run.ux * (runs.lidar_y - run.y) - run.uy * (runs.lidar_x - run.x)
         rise = run.ux * ray_y - run.uy * ray_x
         return rise if side >= 0.0 else -rise
 
-    @cython.cfunc
-    @cython.exceptval(-1)
     def _deny_along(
         self,
         run: Run,
         runs: StraightRuns,
-        ray_x: cython.double,
-        ray_y: cython.double,
-        least: cython.double,
-        farthest: cython.double,
-    ) -> cython.int:
+        ray_x: float,
+        ray_y: float,
+        least: float,
+        farthest: float,
+    ) -> None:
         """Deny candidates within `_extent` m of the part of a ray between two distances.
 
         `least`, `farthest`: m from the lidar. Only what lies before the line of the run counts.
@@ -539,15 +453,14 @@ class BareReturns:
             else:
                 end = at_extent if at_extent < end else end
         elif self._lidar_height > extent:
-            return 0
+            return
         if not end >= begin:
-            return 0
+            return
         # 2. The places along the line that are within `_extent` of this part. Beside an end of the
         # part with the height h these are sqrt(extent^2 - h^2) to both sides. Beside its middle,
         # the line and the ray, which leads along `cosine`, are `_extent` apart.
         first = INFINITY
         last = -INFINITY
-        k: cython.Py_ssize_t
         cosine = run.ux * ray_x + run.uy * ray_y
         for k in range(3):
             distance = begin if k == 0 else end
@@ -563,29 +476,17 @@ class BareReturns:
             place = self._place(run, runs, ray_x, ray_y, distance)
             first = place - half if place - half < first else first
             last = place + half if place + half > last else last
-        return self._deny(first, last)
+        self._deny(first, last)
 
-    @cython.cfunc
-    @cython.inline
-    @cython.exceptval(check=False)
     def _place(
-        self,
-        run: Run,
-        runs: StraightRuns,
-        ray_x: cython.double,
-        ray_y: cython.double,
-        distance: cython.double,
-    ) -> cython.double:
+        self, run: Run, runs: StraightRuns, ray_x: float, ray_y: float, distance: float
+    ) -> float:
         """m along the line of a run, of the place on a ray at a distance from the lidar."""
         x = runs.lidar_x + distance * ray_x - run.x
         y = runs.lidar_y + distance * ray_y - run.y
         return run.ux * x + run.uy * y
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _deny_beside(
-        self, run: Run, runs: StraightRuns, x: cython.double, y: cython.double
-    ) -> cython.int:
+    def _deny_beside(self, run: Run, runs: StraightRuns, x: float, y: float) -> None:
         """Deny candidates near the place of a return.
 
         The lidar sees the near side of a head, and a part may extend `_extent` beyond its far side.
@@ -593,28 +494,19 @@ class BareReturns:
         height = self._height(run, runs, x, y)
         reach = self._extent + _HEAD
         if not fabs(height) <= reach:
-            return 0
+            return
         half = sqrt(reach * reach - height * height)
         place = run.ux * (x - run.x) + run.uy * (y - run.y)
-        return self._deny(place - half, place + half)
+        self._deny(place - half, place + half)
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _deny(self, first: cython.double, last: cython.double) -> cython.int:
+    def _deny(self, first: float, last: float) -> None:
         """Deny the candidates between two places along the line of the present run."""
-        i: cython.Py_ssize_t
         for i in range(self._rays):
             if self._is_candidate[i] and first <= self._along[i] <= last:
                 self._is_candidate[i] = 0
-        return 0
 
 
-@cython.cfunc
-@cython.inline
-@cython.exceptval(-1.0, check=True)
-def _between(
-    directions: cython.double[::1], ray: cython.Py_ssize_t, other: cython.Py_ssize_t
-) -> cython.double:
+def _between(directions: Doubles, ray: int, other: int) -> float:
     """rad between two rays that are near each other, to 1 % up to 0.5 rad."""
     return hypot(
         directions[2 * ray] - directions[2 * other],

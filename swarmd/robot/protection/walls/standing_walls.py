@@ -26,7 +26,7 @@ from __future__ import annotations
 
 from swarmd.core import cython_shadow as cython
 from swarmd.core.buffers import doubles, indices
-from swarmd.core.cython_shadow import INFINITY, cos, fabs, floor, hypot, sin
+from swarmd.core.cython_shadow import INFINITY, Doubles, Table, cos, fabs, floor, hypot, sin
 from swarmd.core.values import Platform
 from swarmd.robot.protection.barrier_assumptions import OTHER, WALL
 from swarmd.robot.protection.dead_reckoning import ScanMotion
@@ -37,60 +37,57 @@ from swarmd.robot.protection.walls.bare_returns import BareReturns
 from swarmd.robot.protection.walls.straight_runs import SPACING, Run, StraightRuns
 from swarmd.robot.protection.walls.walls_settings import STILL, WallsStand
 
-_odometry_share = cython.declare(cython.double, ODOMETRY_SHARE)
-_still = cython.declare(cython.double, STILL)
+_odometry_share = ODOMETRY_SHARE
+_still = STILL
 # Periods between two scans: after more, a revolution of the lidar was lost.
-_LATE_TURN = cython.declare(cython.double, 1.6)
-_MISSED = cython.declare(cython.Py_ssize_t, 1)  # scans in a row that need not show a wall
-_BIN = cython.declare(cython.double, 0.04)  # m along a wall
-_BINS = cython.declare(cython.Py_ssize_t, 128)  # of a wall
-_WALLS = cython.declare(cython.Py_ssize_t, 16)  # the most walls
-_PARALLEL = cython.declare(cython.double, 0.3)  # sine of the angle by which a wall may have turned
-_FASTEST_WALL = cython.declare(cython.double, 1.0)  # m/s at which a moving wall is recognised
-_SHOWN_TWICE = cython.declare(cython.Py_ssize_t, 2)  # scans in a row that show a wall elsewhere
+_LATE_TURN = 1.6
+_MISSED = 1  # scans in a row that need not show a wall
+_BIN = 0.04  # m along a wall
+_BINS = 128  # of a wall
+_WALLS = 16  # the most walls
+_PARALLEL = 0.3  # sine of the angle by which a wall may have turned
+_FASTEST_WALL = 1.0  # m/s at which a moving wall is recognised
+_SHOWN_TWICE = 2  # scans in a row that show a wall elsewhere
 # m, beyond the error of odometry, by which rays must pass through the old place of a wall. Lines of
 # robots that turned among walls at rest were up to 9 cm off in two scans in a row.
-_MOVED = cython.declare(cython.double, 0.1)
-_EDGE = cython.declare(cython.Py_ssize_t, 2)  # covered bins on both sides of a ray through a wall
-_AT_REST = cython.declare(cython.double, 1e-3)  # m and rad by odometry
+_MOVED = 0.1
+_EDGE = 2  # covered bins on both sides of a ray through a wall
+_AT_REST = 1e-3  # m and rad by odometry
 
 
-@cython.final
 @cython.cclass
 class Wall:
     """A wall: a line in the odometry frame, with bins along it."""
 
-    x: cython.double  # the middle of its bins, in the odometry frame
-    y: cython.double
-    ux: cython.double  # its direction, in the odometry frame
-    uy: cython.double
-    here_x: cython.double  # the same in the base frame of the present scan
-    here_y: cython.double
-    here_ux: cython.double
-    here_uy: cython.double
-    measured_at: cython.double  # the time at which its line was measured
-    way: cython.double  # `_way` at that time
-    turn: cython.double  # `_turn` at that time
-    since: cython.double  # the time since which it stands
-    confirmed: cython.double  # the time at which it was last confirmed
-    off: cython.double  # m by which its line then was off
-    is_seen: cython.bint  # a run of this scan continues it
-    moves: cython.Py_ssize_t  # scans in a row that showed it elsewhere
-    low: cython.Py_ssize_t  # its first covered bin
-    high: cython.Py_ssize_t  # its last covered bin
-    missed: cython.Py_ssize_t  # scans in a row that have not shown it
+    x: float  # the middle of its bins, in the odometry frame
+    y: float
+    ux: float  # its direction, in the odometry frame
+    uy: float
+    here_x: float  # the same in the base frame of the present scan
+    here_y: float
+    here_ux: float
+    here_uy: float
+    measured_at: float  # the time at which its line was measured
+    way: float  # `_way` at that time
+    turn: float  # `_turn` at that time
+    since: float  # the time since which it stands
+    confirmed: float  # the time at which it was last confirmed
+    off: float  # m by which its line then was off
+    is_seen: bool  # a run of this scan continues it
+    moves: int  # scans in a row that showed it elsewhere
+    low: int  # its first covered bin
+    high: int  # its last covered bin
+    missed: int  # scans in a row that have not shown it
     # For each bin: since when it is covered, and the same after this scan; inf: not.
-    bins: cython.double[::1]
-    next_bins: cython.double[::1]
+    bins: Doubles
+    next_bins: Doubles
 
     def __init__(self) -> None:
         self.bins = doubles(_BINS)
         self.next_bins = doubles(_BINS)
 
 
-@cython.cfunc
-@cython.exceptval(-3)
-def _bin_at(wall: Wall, run: Run, along: cython.double) -> cython.Py_ssize_t:
+def _bin_at(wall: Wall, run: Run, along: float) -> int:
     """The bin of a wall beside the place `along` m on a run; -2 or _BINS: beyond the bins."""
     dx = run.x + along * run.ux - wall.here_x
     dy = run.y + along * run.uy - wall.here_y
@@ -101,30 +98,29 @@ def _bin_at(wall: Wall, run: Run, along: cython.double) -> cython.Py_ssize_t:
     return cython.cast(cython.Py_ssize_t, floor(place)) if place >= -2.0 else -2
 
 
-@cython.final
 @cython.cclass
 class StandingWalls(ReturnLayer):
     """The walls around one robot that have stood still, and the returns of a scan on them."""
 
-    is_trusted: cython.bint  # False: no return stands, since a wall was found to move
+    is_trusted: bool  # False: no return stands, since a wall was found to move
     moved: MovedWall | None  # MovedWall: what the last scan showed; None without a wall that moved
-    _length: cython.double
-    _seconds: cython.double
-    _period: cython.double  # s of a revolution of the lidar
+    _length: float
+    _seconds: float
+    _period: float  # s of a revolution of the lidar
     _runs: StraightRuns  # of the last scan
     _bare: BareReturns | None  # None: `walls_stand` has no `foot`
     _walls: list[Wall]  # _WALLS, of which the first `_wall_count` are in use
-    _wall_count: cython.Py_ssize_t
+    _wall_count: int
     # What `_overlap` has found: the ends of the part of a run beside a wall in m along the run, and
     # how far the line of the wall is from the run at both ends in m.
-    _overlap_first: cython.double
-    _overlap_last: cython.double
-    _off_first: cython.double
-    _off_last: cython.double
+    _overlap_first: float
+    _overlap_last: float
+    _off_first: float
+    _off_last: float
     # The sum of all motion by odometry since the start: m driven, rad turned.
-    _way: cython.double
-    _turn: cython.double
-    _resets: cython.Py_ssize_t
+    _way: float
+    _turn: float
+    _resets: int
 
     def __init__(self, platform: Platform, walls_stand: WallsStand, extent: float) -> None:
         """`extent`: m, the `unseen_extent` of the platform."""
@@ -150,20 +146,18 @@ class StandingWalls(ReturnLayer):
         """Forget all walls: each must stand anew."""
         self._wall_count = 0
 
-    @cython.cfunc
     def observe(
         self,
-        ranges: cython.const_double[::1],
-        directions: cython.double[::1],
-        ages: cython.const_double[::1],
-        filled: cython.const_double[::1],
-        borrowed: cython.Py_ssize_t,
-        hidden: cython.double[:, ::1],
+        ranges: Doubles,
+        directions: Doubles,
+        ages: Doubles,
+        filled: Doubles,
+        borrowed: int,
+        hidden: Table,
         motion: ScanMotion,
     ) -> None:
         """Take in a scan, and set `moved` if it shows a moved wall."""
-        i: cython.Py_ssize_t
-        count: cython.Py_ssize_t = len(ranges)
+        count = len(ranges)
         if len(self.kinds) < count:
             self.kinds = indices(count)
         for i in range(count):
@@ -186,11 +180,8 @@ class StandingWalls(ReturnLayer):
                 self.kinds, self._runs, ranges, directions, ages, filled, borrowed, hidden
             )
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _compare(self, motion: ScanMotion) -> cython.int:
+    def _compare(self, motion: ScanMotion) -> None:
         """Find by the runs which walls stand, have moved, are gone or are new."""
-        j: cython.Py_ssize_t
         self._place_walls(motion)
         # 1. Walls that a run continues: first the long runs, whose returns may stand.
         for j in range(self._runs.count):
@@ -202,9 +193,9 @@ class StandingWalls(ReturnLayer):
         for j in range(self._runs.count):
             run = self._runs.runs[j]
             if not run.is_long:
-                corner: cython.Py_ssize_t = self._runs.corner_of(j)
+                corner = self._runs.corner_of(j)
                 if corner >= 0:
-                    is_on_wall: cython.bint = self.kinds[self._runs.ray[corner]] == WALL
+                    is_on_wall = self.kinds[self._runs.ray[corner]] == WALL
                     self._match(run, is_on_wall, motion)
         # 3. Walls that are elsewhere now, and walls that no run has continued for too long.
         self._find_moved(motion)
@@ -217,15 +208,12 @@ class StandingWalls(ReturnLayer):
             if run.is_long or self._runs.corner_of(j) >= 0:
                 self._add_wall(run, motion)
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _match(self, run: Run, is_on_wall: cython.bint, motion: ScanMotion) -> cython.int:
+    def _match(self, run: Run, is_on_wall: bool, motion: ScanMotion) -> None:
         """Continue the first wall on whose line a run lies.
 
         A wall that the scan before showed elsewhere is left out. `is_on_wall`: the returns of the
         run may stand (see `_continue`).
         """
-        i: cython.Py_ssize_t
         for i in range(self._wall_count):
             wall: Wall = self._walls[i]
             if not wall.moves and self._is_still(wall, run):
@@ -233,12 +221,8 @@ class StandingWalls(ReturnLayer):
                 run.owner = i
                 break
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _place_walls(self, motion: ScanMotion) -> cython.int:
+    def _place_walls(self, motion: ScanMotion) -> None:
         """Place the walls in the base frame of the scan; none of their bins is covered yet."""
-        i: cython.Py_ssize_t
-        k: cython.Py_ssize_t
         c = cos(motion.pose.yaw)
         s = sin(motion.pose.yaw)
         for i in range(self._wall_count):
@@ -256,32 +240,27 @@ class StandingWalls(ReturnLayer):
             for k in range(_BINS):
                 wall.next_bins[k] = INFINITY
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _centre_bins(self, wall: Wall) -> cython.int:
+    def _centre_bins(self, wall: Wall) -> None:
         """Move the bins of a wall along its line if the covered bins are far off the middle.
 
         Far off is more than an eighth of all bins. If the bins were not moved, the end of a wall
         along which the robot drives would soon lie beyond the last bin.
         """
-        k: cython.Py_ssize_t
         off_middle = 0.5 * (wall.low + wall.high - _BINS)
-        shift: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, floor(off_middle))
+        shift = cython.cast(cython.Py_ssize_t, floor(off_middle))
         if -(_BINS // 8) <= shift <= _BINS // 8:
-            return 0
+            return
         wall.bins, wall.next_bins = wall.next_bins, wall.bins  # `_place_walls` clears `next_bins`
         for k in range(_BINS):
-            is_inside: cython.bint = 0 <= k + shift < _BINS
+            is_inside = 0 <= k + shift < _BINS
             wall.bins[k] = wall.next_bins[k + shift] if is_inside else INFINITY
         wall.low -= shift
         wall.high -= shift
         wall.x += _BIN * shift * wall.ux
         wall.y += _BIN * shift * wall.uy
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _overlap(self, wall: Wall, run: Run) -> cython.int:
-        """Find the part of a run beside the covered bins of a wall; 0 without such a part.
+    def _overlap(self, wall: Wall, run: Run) -> bool:
+        """Find the part of a run beside the covered bins of a wall; False without such a part.
 
         Sets `_overlap_first` and `_overlap_last`, the ends of the part, and `_off_first` and
         `_off_last`, how far the line of the wall is from the run at both ends.
@@ -291,7 +270,7 @@ class StandingWalls(ReturnLayer):
         cosine = ux * run.ux + uy * run.uy
         sine = ux * run.uy - uy * run.ux
         if not fabs(sine) <= _PARALLEL:
-            return 0
+            return False
         # 1. The ends of the covered bins in m along the run, cut off at the ends of the run.
         dx = wall.here_x - run.x
         dy = wall.here_y - run.y
@@ -304,7 +283,7 @@ class StandingWalls(ReturnLayer):
         first = first if first > run.begin else run.begin
         last = last if last < run.end else run.end
         if not last > first:
-            return 0
+            return False
         # 2. How far the line is from the point of the run at 0 m. The distance changes along the
         # run by the sine of the angle between run and line.
         off = uy * dx - ux * dy
@@ -312,28 +291,22 @@ class StandingWalls(ReturnLayer):
         self._overlap_last = last
         self._off_first = off + sine * first
         self._off_last = off + sine * last
-        return 1
+        return True
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _is_still(self, wall: Wall, run: Run) -> cython.int:
-        """1 if a run is where a wall was when its line was measured.
+    def _is_still(self, wall: Wall, run: Run) -> bool:
+        """True if a run is where a wall was when its line was measured.
 
         Each end of their overlap may be off by STILL plus the error of odometry since then.
         """
         if not self._overlap(wall, run):
-            return 0
+            return False
         if not fabs(self._off_first) <= _still + self._odometry_error(
             wall, run, self._overlap_first
         ):
-            return 0
-        if not fabs(self._off_last) <= _still + self._odometry_error(wall, run, self._overlap_last):
-            return 0
-        return 1
+            return False
+        return fabs(self._off_last) <= _still + self._odometry_error(wall, run, self._overlap_last)
 
-    @cython.cfunc
-    @cython.exceptval(-1.0, check=True)
-    def _odometry_error(self, wall: Wall, run: Run, along: cython.double) -> cython.double:
+    def _odometry_error(self, wall: Wall, run: Run, along: float) -> float:
         """The error of odometry in m since the line of a wall was measured.
 
         The error is that of the place `along` m on a run: the farther the place is from the robot,
@@ -345,15 +318,7 @@ class StandingWalls(ReturnLayer):
         y = run.y + along * run.uy
         return _odometry_share * (way + turn * hypot(x, y))
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _continue(
-        self,
-        wall: Wall,
-        run: Run,
-        is_on_wall: cython.bint,
-        motion: ScanMotion,
-    ) -> cython.int:
+    def _continue(self, wall: Wall, run: Run, is_on_wall: bool, motion: ScanMotion) -> None:
         """Cover the bins of a wall that a run shows, and mark the returns of the run that stand.
 
         No return is marked unless `is_on_wall`: the run is long, or meets a standing return of a
@@ -364,7 +329,7 @@ class StandingWalls(ReturnLayer):
         if is_on_wall:
             self._mark_standing(wall, run, now)
         # 1. Confirms the wall: the mean distance of the line from the run, and the time.
-        has_overlap: cython.bint = self._overlap(wall, run) != 0
+        has_overlap = self._overlap(wall, run) != 0
         wall.off = 0.5 * (self._off_first + self._off_last) if has_overlap else 0.0
         wall.is_seen = True
         wall.confirmed = now
@@ -373,100 +338,70 @@ class StandingWalls(ReturnLayer):
             self._move_line(wall, run, motion)
             wall.off = 0.0
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _cover_bins(self, wall: Wall, run: Run, now: cython.double) -> cython.int:
+    def _cover_bins(self, wall: Wall, run: Run, now: float) -> None:
         """Cover the bins of a wall between returns of a run that are at most SPACING apart."""
-        k: cython.Py_ssize_t
-        count: cython.Py_ssize_t = run.length + 1
+        count = run.length + 1
         before = -INFINITY  # m along the run, of the return before
         for k in range(count):
             along = self._runs.along(run, k)
-            is_on_line: cython.bint = along == along  # NaN for a return off the line
+            is_on_line = along == along  # NaN for a return off the line
             if is_on_line:
-                is_near: cython.bint = fabs(along - before) <= SPACING
+                is_near = fabs(along - before) <= SPACING
                 self._cover(wall, run, before if is_near else along, along, now)
                 before = along
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _mark_standing(self, wall: Wall, run: Run, now: cython.double) -> cython.int:
+    def _mark_standing(self, wall: Wall, run: Run, now: float) -> None:
         """Mark the returns of a run in bins of a wall that have stood, or beside such a bin.
 
         Sets `kinds` and `has_kinds`.
         """
-        k: cython.Py_ssize_t
-        count: cython.Py_ssize_t = run.length + 1
+        count = run.length + 1
         for k in range(count):
             along = self._runs.along(run, k)
-            is_on_line: cython.bint = along == along  # NaN for a return off the line
+            is_on_line = along == along  # NaN for a return off the line
             if not is_on_line:
                 continue
-            place: cython.Py_ssize_t = self._runs.return_of(run, k)
-            bin_of_wall: cython.Py_ssize_t = _bin_at(wall, run, along)
+            place = self._runs.return_of(run, k)
+            bin_of_wall = _bin_at(wall, run, along)
             if self._has_stood(wall, bin_of_wall, now):
                 self.kinds[self._runs.ray[place]] = WALL
                 self.has_kinds = True
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _move_line(self, wall: Wall, run: Run, motion: ScanMotion) -> cython.int:
+    def _move_line(self, wall: Wall, run: Run, motion: ScanMotion) -> None:
         """Move the line of a wall to that of a run; the bins keep their places."""
         dx = wall.here_x - run.x
         dy = wall.here_y - run.y
         middle = run.ux * dx + run.uy * dy
         cosine = wall.here_ux * run.ux + wall.here_uy * run.uy
-        return self._set_line(wall, run, middle, 1.0 if cosine >= 0.0 else -1.0, motion)
+        self._set_line(wall, run, middle, 1.0 if cosine >= 0.0 else -1.0, motion)
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _cover(
-        self,
-        wall: Wall,
-        run: Run,
-        begin: cython.double,
-        end: cython.double,
-        now: cython.double,
-    ) -> cython.int:
+    def _cover(self, wall: Wall, run: Run, begin: float, end: float, now: float) -> None:
         """Cover the bins between two places of a run; bins that were covered keep their time.
 
         `begin`, `end`: m along the run.
         """
-        k: cython.Py_ssize_t
-        low: cython.Py_ssize_t = _bin_at(wall, run, begin)
-        high: cython.Py_ssize_t = _bin_at(wall, run, end)
+        low = _bin_at(wall, run, begin)
+        high = _bin_at(wall, run, end)
         if low > high:
             low, high = high, low
         for k in range(low if low > 0 else 0, high + 1 if high < _BINS else _BINS):
             since = wall.bins[k]
             wall.next_bins[k] = since if since < INFINITY else now
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _has_stood(
-        self, wall: Wall, bin_of_wall: cython.Py_ssize_t, now: cython.double
-    ) -> cython.int:
-        """1 if a bin, or a bin beside it, has been covered for `_seconds`, this scan included.
+    def _has_stood(self, wall: Wall, bin_of_wall: int, now: float) -> bool:
+        """True if a bin, or a bin beside it, has been covered for `_seconds`, this scan included.
 
         The bins beside count, since the visible end of a wall changes from scan to scan with the
         last ray that meets the wall.
         """
-        k: cython.Py_ssize_t
         for k in range(bin_of_wall - 1, bin_of_wall + 2):
             if 0 <= k < _BINS and now - wall.next_bins[k] >= self._seconds:
-                return 1
-        return 0
+                return True
+        return False
 
-    @cython.cfunc
-    @cython.exceptval(-1)
     def _set_line(
-        self,
-        wall: Wall,
-        run: Run,
-        along: cython.double,
-        direction: cython.double,
-        motion: ScanMotion,
-    ) -> cython.int:
+        self, wall: Wall, run: Run, along: float, direction: float, motion: ScanMotion
+    ) -> None:
         """Set the line of a wall to that of a run, in the odometry frame.
 
         `along`: m along the run, where the middle of the bins is. `direction`: 1 if the wall has
@@ -485,14 +420,10 @@ class StandingWalls(ReturnLayer):
         wall.measured_at = motion.measured_at
         wall.way = self._way
         wall.turn = self._turn
-        return 0
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _drop_walls(self) -> cython.int:
+    def _drop_walls(self) -> None:
         """Drop the walls that more than _MISSED scans in a row have not shown."""
-        i: cython.Py_ssize_t
-        kept: cython.Py_ssize_t = 0
+        kept = 0
         for i in range(self._wall_count):
             wall: Wall = self._walls[i]
             if wall.is_seen:
@@ -509,11 +440,8 @@ class StandingWalls(ReturnLayer):
                 kept += 1
         self._wall_count = kept
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _keep_covered(self, wall: Wall) -> cython.int:
+    def _keep_covered(self, wall: Wall) -> None:
         """Keep the bins of a wall that this scan covers, and find the first and the last one."""
-        k: cython.Py_ssize_t
         wall.bins, wall.next_bins = wall.next_bins, wall.bins
         wall.low = _BINS
         wall.high = -1
@@ -523,15 +451,12 @@ class StandingWalls(ReturnLayer):
                 if wall.low == _BINS:
                     wall.low = k
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _add_wall(self, run: Run, motion: ScanMotion) -> cython.int:
+    def _add_wall(self, run: Run, motion: ScanMotion) -> None:
         """Add a wall whose bins have been covered since this scan."""
-        k: cython.Py_ssize_t
         wall: Wall = self._walls[self._wall_count]
         half = 0.5 * (run.end - run.begin)
         bins = floor(half / _BIN) + 1.0
-        covered: cython.Py_ssize_t = _BINS // 2  # on each side of the middle
+        covered = _BINS // 2  # on each side of the middle
         if bins <= covered:
             covered = cython.cast(cython.Py_ssize_t, bins)
         self._set_line(wall, run, run.begin + half, 1.0, motion)
@@ -546,24 +471,20 @@ class StandingWalls(ReturnLayer):
         for k in range(_BINS):
             wall.bins[k] = motion.measured_at if wall.low <= k <= wall.high else INFINITY
         self._wall_count += 1
-        return 0
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _find_moved(self, motion: ScanMotion) -> cython.int:
+    def _find_moved(self, motion: ScanMotion) -> None:
         """Set `moved` if a wall that had stood is elsewhere, in this scan and in the scan before.
 
         A wall that two scans in a row have shown elsewhere is not examined again. `motion`: of the
         present scan.
         """
-        i: cython.Py_ssize_t
         for i in range(self._wall_count):
             wall: Wall = self._walls[i]
             # 1. Scans in a row before this scan that showed the wall elsewhere. The count begins
             # anew unless this scan shows the wall elsewhere, too.
-            scans_elsewhere: cython.Py_ssize_t = wall.moves
+            scans_elsewhere = wall.moves
             wall.moves = 0
-            was_examined: cython.bint = scans_elsewhere >= _SHOWN_TWICE
+            was_examined = scans_elsewhere >= _SHOWN_TWICE
             if wall.is_seen or was_examined:
                 continue
             seconds = motion.measured_at - wall.confirmed
@@ -571,8 +492,8 @@ class StandingWalls(ReturnLayer):
                 continue
             # 2. The wall is elsewhere if a run lies within the m that a wall can have moved.
             farthest = _still + _FASTEST_WALL * seconds
-            was_elsewhere: cython.bint = scans_elsewhere > 0
-            is_elsewhere: cython.bint = self._moved_by(wall, was_elsewhere, farthest) < farthest
+            was_elsewhere = scans_elsewhere > 0
+            is_elsewhere = self._moved_by(wall, was_elsewhere, farthest) < farthest
             if not is_elsewhere:
                 continue
             # 3. The wall has moved if the scan before showed the wall elsewhere, too, and rays pass
@@ -585,11 +506,8 @@ class StandingWalls(ReturnLayer):
                 stood = wall.confirmed - wall.since
                 self.moved = MovedWall(stood, distance, distance / seconds)
 
-    @cython.cfunc
-    @cython.inline
-    @cython.exceptval(-1)
-    def _may_judge(self, wall: Wall) -> cython.int:
-        """1 if a wall has stood long enough, and odometry is right.
+    def _may_judge(self, wall: Wall) -> bool:
+        """True if a wall has stood long enough, and odometry is right.
 
         Wrong odometry shows all walls elsewhere. Odometry is right if a wall stands in this scan,
         or if the robot has not moved by odometry since the line of the wall was measured.
@@ -597,23 +515,18 @@ class StandingWalls(ReturnLayer):
         stood = wall.confirmed - wall.since
         way = self._way - wall.way
         turn = self._turn - wall.turn
-        is_robot_at_rest: cython.bint = way <= _AT_REST and turn <= _AT_REST
-        is_odometry_right: cython.bint = self.has_kinds or is_robot_at_rest
-        may_judge: cython.bint = stood >= self._seconds and is_odometry_right
+        is_robot_at_rest = way <= _AT_REST and turn <= _AT_REST
+        is_odometry_right = self.has_kinds or is_robot_at_rest
+        may_judge = stood >= self._seconds and is_odometry_right
         return may_judge
 
-    @cython.cfunc
-    @cython.exceptval(-1.0, check=True)
-    def _moved_by(
-        self, wall: Wall, was_elsewhere: cython.bint, farthest: cython.double
-    ) -> cython.double:
+    def _moved_by(self, wall: Wall, was_elsewhere: bool, farthest: float) -> float:
         """The m from the line of a wall to the nearest run that may show the wall elsewhere.
 
         The result is `farthest` in m if no such run is nearer. A run that continues a wall is
         examined only if `was_elsewhere`: the scan before showed the wall elsewhere, perhaps as a
         new wall.
         """
-        j: cython.Py_ssize_t
         least = farthest
         for j in range(self._runs.count):
             run: Run = self._runs.runs[j]
@@ -624,19 +537,16 @@ class StandingWalls(ReturnLayer):
                 least = off
         return least
 
-    @cython.cfunc
-    @cython.exceptval(-1.0, check=True)
-    def _moved_away_by(self, wall: Wall, farthest: cython.double) -> cython.double:
+    def _moved_away_by(self, wall: Wall, farthest: float) -> float:
         """As `_moved_by`, of the runs that are seen through the old place of the wall.
 
         A run that continues a wall which was there when `wall` was last confirmed is that other
         wall, and shows nothing. A wall that has come nearer hides its old place.
         """
-        j: cython.Py_ssize_t
         least = farthest
         for j in range(self._runs.count):
             run: Run = self._runs.runs[j]
-            is_known: cython.bint = False
+            is_known = False
             if run.owner >= 0:
                 other: Wall = self._walls[run.owner]
                 is_known = other.since <= wall.confirmed
@@ -645,9 +555,7 @@ class StandingWalls(ReturnLayer):
                 least = off
         return least
 
-    @cython.cfunc
-    @cython.exceptval(-1.0, check=True)
-    def _distance(self, wall: Wall, run: Run) -> cython.double:
+    def _distance(self, wall: Wall, run: Run) -> float:
         """The m from the line of a wall to a run that lies beside it; inf if the run does not.
 
         The run must lie beside at least half of `length` of the wall, off its line. The distance is
@@ -663,32 +571,28 @@ class StandingWalls(ReturnLayer):
         overlap = self._overlap_last - self._overlap_first
         return off if overlap >= 0.5 * self._length else INFINITY
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _is_seen_through(self, wall: Wall, run: Run) -> cython.int:
-        """1 if the rays to a run pass through at least half of `length` of a wall's old place.
+    def _is_seen_through(self, wall: Wall, run: Run) -> bool:
+        """True if the rays to a run pass through at least half of `length` of a wall's old place.
 
         A ray passes through if it crosses the line of the wall among covered bins, and ends at
         least _MOVED m and the error of odometry behind the line.
         """
-        k: cython.Py_ssize_t
-        b: cython.Py_ssize_t
-        count: cython.Py_ssize_t = run.length + 1
+        count = run.length + 1
         ux = wall.here_ux
         uy = wall.here_uy
         from_x = self._runs.lidar_x - wall.here_x
         from_y = self._runs.lidar_y - wall.here_y
         before = ux * from_y - uy * from_x  # m from the line to the lidar
-        least_bin: cython.Py_ssize_t = _BINS
-        greatest_bin: cython.Py_ssize_t = -1
+        least_bin = _BINS
+        greatest_bin = -1
         for k in range(count):
             along = self._runs.along(run, k)
-            place: cython.Py_ssize_t = self._runs.return_of(run, k)
+            place = self._runs.return_of(run, k)
             x = self._runs.x[place] - wall.here_x
             y = self._runs.y[place] - wall.here_y
             behind = ux * y - uy * x
-            is_on_line: cython.bint = along == along  # NaN for a return off the line of the run
-            is_other_side: cython.bint = before * behind < 0.0
+            is_on_line = along == along  # NaN for a return off the line of the run
+            is_other_side = before * behind < 0.0
             if not is_on_line or not is_other_side:
                 continue
             if fabs(behind) < _MOVED + self._odometry_error(wall, run, along):
@@ -699,11 +603,11 @@ class StandingWalls(ReturnLayer):
             crossing = (ux * cross_x + uy * cross_y) / _BIN + 0.5 * _BINS
             if not _EDGE <= crossing < _BINS - _EDGE:
                 continue
-            bin_of_wall: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, floor(crossing))
-            is_covered: cython.bint = True
+            bin_of_wall = cython.cast(cython.Py_ssize_t, floor(crossing))
+            is_covered = True
             for b in range(bin_of_wall - _EDGE, bin_of_wall + _EDGE + 1):
                 is_covered = is_covered and wall.bins[b] < INFINITY
             if is_covered:
                 least_bin = bin_of_wall if bin_of_wall < least_bin else least_bin
                 greatest_bin = bin_of_wall if bin_of_wall > greatest_bin else greatest_bin
-        return 1 if _BIN * (greatest_bin - least_bin) >= 0.5 * self._length else 0
+        return _BIN * (greatest_bin - least_bin) >= 0.5 * self._length

@@ -15,86 +15,84 @@ from __future__ import annotations
 
 from swarmd.core import cython_shadow as cython
 from swarmd.core.buffers import doubles, indices
-from swarmd.core.cython_shadow import INFINITY, NAN, fabs, hypot, sqrt
+from swarmd.core.cython_shadow import INFINITY, NAN, Doubles, Indices, fabs, hypot, sqrt
 from swarmd.core.values import Platform
 from swarmd.robot.protection.obstacles import REACH
 
 # m between neighbouring returns of a surface: less than a Burger's 0.14 m, and more than the 0.07 m
 # of an e-puck2 and the 0.11 m of a Thymio.
-SPACING = cython.declare(cython.double, 0.12)
+SPACING = 0.12
 # m between the end of a wall and the face that begins there: less than robots leave free.
-_CORNER = cython.declare(cython.double, 0.04)
-_STRAIGHT = cython.declare(cython.double, 0.05)  # m by which a return may be off its chord
-_ROUGH = cython.declare(cython.double, 0.025)  # m, root mean square of the residuals of a run
-_ON_LINE = cython.declare(cython.double, 0.035)  # m by which a return that stands may be off
-_THROUGH = cython.declare(cython.double, 0.05)  # m behind the line: the ray passed through it
+_CORNER = 0.04
+_STRAIGHT = 0.05  # m by which a return may be off its chord
+_ROUGH = 0.025  # m, root mean square of the residuals of a run
+_ON_LINE = 0.035  # m by which a return that stands may be off
+_THROUGH = 0.05  # m behind the line: the ray passed through it
 # m: a long run bends with a larger radius. Noise of 1 cm in 40 returns over 0.5 m changes
 # 1 / radius by 0.17 / m (one standard deviation): such a wall is refused in 1 scan of 10,000, a
 # tank of 1 m radius in 97 of 100.
-_LEAST_RADIUS = cython.declare(cython.double, 1.5)
-_FEWEST = cython.declare(cython.Py_ssize_t, 5)  # returns of a run
+_LEAST_RADIUS = 1.5
+_FEWEST = 5  # returns of a run
 # What `_bridge` permits: m between two returns, and single rays without a return in a scan. Of 150
 # rays beside a wall of which 1 % are lost, 99.6 of 100 scans have no more.
-_BRIDGED = cython.declare(cython.double, 0.05)
-_LOST_ALONE = cython.declare(cython.Py_ssize_t, 5)
+_BRIDGED = 0.05
+_LOST_ALONE = 5
 # Periods: an older ray is of an earlier revolution. If the robot turns against the lidar, the
 # newest ray of some directions is older than a period.
-_LATE_RAY = cython.declare(cython.double, 1.5)
-_RUNS = cython.declare(cython.Py_ssize_t, 64)  # the most runs of a scan
-_STACK = cython.declare(cython.Py_ssize_t, 128)  # two numbers for each part that is to be split
+_LATE_RAY = 1.5
+_RUNS = 64  # the most runs of a scan
+_STACK = 128  # two numbers for each part that is to be split
 
 # The sums over returns.
-_SUM_COUNT = cython.declare(cython.Py_ssize_t, 0)
-_SUM_X = cython.declare(cython.Py_ssize_t, 1)
-_SUM_Y = cython.declare(cython.Py_ssize_t, 2)
-_SUM_XX = cython.declare(cython.Py_ssize_t, 3)
-_SUM_XY = cython.declare(cython.Py_ssize_t, 4)
-_SUM_YY = cython.declare(cython.Py_ssize_t, 5)
-_SUMS = cython.declare(cython.Py_ssize_t, 6)
+_SUM_COUNT = 0
+_SUM_X = 1
+_SUM_Y = 2
+_SUM_XX = 3
+_SUM_XY = 4
+_SUM_YY = 5
+_SUMS = 6
 
 
-@cython.final
 @cython.cclass
 class Run:
     """A straight run of returns that follow each other, and its line."""
 
-    first: cython.Py_ssize_t  # the index of its first return
-    length: cython.Py_ssize_t  # the returns that follow
-    sums: cython.double[::1]  # the _SUMS sums over its returns
-    x: cython.double  # m, a point of its line
-    y: cython.double
-    ux: cython.double  # the unit vector along its line
-    uy: cython.double
-    begin: cython.double  # m along its line from this point to its begin
-    end: cython.double  # m along its line from this point to its end
-    owner: cython.Py_ssize_t  # the index of the wall that it continues; -1: none
-    is_long: cython.bint  # long and straight
+    first: int  # the index of its first return
+    length: int  # the returns that follow
+    sums: Doubles  # the _SUMS sums over its returns
+    x: float  # m, a point of its line
+    y: float
+    ux: float  # the unit vector along its line
+    uy: float
+    begin: float  # m along its line from this point to its begin
+    end: float  # m along its line from this point to its end
+    owner: int  # the index of the wall that it continues; -1: none
+    is_long: bool  # long and straight
 
     def __init__(self) -> None:
         self.sums = doubles(_SUMS)
 
 
-@cython.final
 @cython.cclass
 class StraightRuns:
     """The returns of a scan near the lidar, and the straight runs of them."""
 
     runs: list[Run]  # _RUNS, of which the first `count` are those of the scan
-    count: cython.Py_ssize_t
-    x: cython.double[::1]  # of each return
-    y: cython.double[::1]
-    ray: cython.longlong[::1]  # of each return
-    lidar_x: cython.double
-    lidar_y: cython.double
-    _length: cython.double  # m of a long run
-    oldest: cython.double  # s, the greatest age of a ray of this revolution
-    _returns: cython.Py_ssize_t
-    _bridges: cython.bint  # single rays without a return between near returns do not end a chain
-    _is_single: cython.longlong[::1]  # of each return: 1 if it is cut by a single ray
-    _is_cut: cython.longlong[::1]  # of each return: 1 if a ray before passes through
-    _sums: cython.double[::1]  # _SUMS for each return: the sums over all returns before it
-    _places: cython.double[::1]  # of the returns on the line of a run: m along and across the line
-    _stack: cython.longlong[::1]
+    count: int
+    x: Doubles  # of each return
+    y: Doubles
+    ray: Indices  # of each return
+    lidar_x: float
+    lidar_y: float
+    _length: float  # m of a long run
+    oldest: float  # s, the greatest age of a ray of this revolution
+    _returns: int
+    _bridges: bool  # single rays without a return between near returns do not end a chain
+    _is_single: Indices  # of each return: 1 if it is cut by a single ray
+    _is_cut: Indices  # of each return: 1 if a ray before passes through
+    _sums: Doubles  # _SUMS for each return: the sums over all returns before it
+    _places: Doubles  # of the returns on the line of a run: m along and across the line
+    _stack: Indices
 
     def __init__(self, platform: Platform, length: float, *, bridges: bool = False) -> None:
         """`bridges`: a ray that was lost alone does not end a chain, see `_bridge`."""
@@ -106,7 +104,7 @@ class StraightRuns:
         self._stack = indices(_STACK)
         self._allocate(len(platform.scan.bearings))
 
-    def _allocate(self, rays: cython.Py_ssize_t) -> None:
+    def _allocate(self, rays: int) -> None:
         """Make the arrays of a scan anew, for so many rays."""
         self.ray = indices(rays)
         self._is_cut = indices(rays)
@@ -116,16 +114,8 @@ class StraightRuns:
         self._sums = doubles(_SUMS * (rays + 1))
         self._places = doubles(2 * rays)
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def find(
-        self,
-        ranges: cython.const_double[::1],
-        directions: cython.double[::1],
-        ages: cython.const_double[::1],
-    ) -> cython.int:
+    def find(self, ranges: Doubles, directions: Doubles, ages: Doubles) -> None:
         """Find the runs of a scan, as StandingWalls.observe gives it."""
-        j: cython.Py_ssize_t
         if len(self.ray) < len(ranges):
             self._allocate(len(ranges))
         self._place(ranges, directions, ages)
@@ -136,20 +126,17 @@ class StraightRuns:
         for j in range(self.count):
             run: Run = self.runs[j]
             run.owner = -1
-            is_long: cython.bint = run.end - run.begin >= self._length
+            is_long = run.end - run.begin >= self._length
             run.is_long = is_long and self._is_straight(run) != 0
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _is_straight(self, run: Run) -> cython.int:
-        """1 if the returns of a run bend with a radius of at least _LEAST_RADIUS m.
+    def _is_straight(self, run: Run) -> bool:
+        """True if the returns of a run bend with a radius of at least _LEAST_RADIUS m.
 
         0 also if fewer than _FEWEST returns are on the line of the run. A parabola is fitted to the
         returns on the line: their distance across the line as a function of their place along the
         line. The radius is that of the parabola.
         """
-        k: cython.Py_ssize_t
-        on_line: cython.Py_ssize_t = 0
+        on_line = 0
         places = self._places
         # 1. The returns on the line, and the sums of the powers of their places along the line.
         first = 0.0
@@ -157,7 +144,7 @@ class StraightRuns:
         third = 0.0
         for k in range(run.length + 1):
             place = self.along(run, k)
-            is_on_line: cython.bint = place == place  # NaN for a return off the line
+            is_on_line = place == place  # NaN for a return off the line
             if is_on_line:
                 places[2 * on_line] = place
                 places[2 * on_line + 1] = self._before(run, self.return_of(run, k))
@@ -166,12 +153,12 @@ class StraightRuns:
                 third += place * place * place
                 on_line += 1
         if on_line < _FEWEST:
-            return 0
+            return False
         mean = first / on_line
         variance = second / on_line - mean * mean
         third_moment = third / on_line - mean * (3.0 * variance + mean * mean)
         if not variance > 0.0:
-            return 0
+            return False
         # 2. The coefficient of the square, by least squares: covariance / square. `bend` is the
         # square of the place, less what a shift and a turn of the line explain.
         covariance = 0.0
@@ -185,29 +172,21 @@ class StraightRuns:
         # 3. The radius is 1 / (2 * coefficient). The comparison has no division by 0.
         return 2.0 * fabs(covariance) * _LEAST_RADIUS <= square
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _place(
-        self,
-        ranges: cython.const_double[::1],
-        directions: cython.double[::1],
-        ages: cython.const_double[::1],
-    ) -> cython.int:
+    def _place(self, ranges: Doubles, directions: Doubles, ages: Doubles) -> None:
         """Place the returns of this revolution within REACH m, and add them to the running sums.
 
         A ray passes through before a return if the ray has no return within REACH m. A return too
         close to measure is left out, but no ray passes through there. The arguments are those of
         `find`.
         """
-        i: cython.Py_ssize_t
-        k: cython.Py_ssize_t = 0
-        has_ages: cython.bint = len(ages) > 0
+        k = 0
+        has_ages = len(ages) > 0
         is_cut = False
-        passing: cython.Py_ssize_t = 0  # rays that pass through since the return before
+        passing = 0  # rays that pass through since the return before
         for i in range(_SUMS):
             self._sums[i] = 0.0
         for i in range(len(ranges)):
-            is_of_revolution: cython.bint = not has_ages or ages[i] <= self.oldest
+            is_of_revolution = not has_ages or ages[i] <= self.oldest
             if not is_of_revolution:
                 continue
             distance = ranges[i]
@@ -232,37 +211,29 @@ class StraightRuns:
         # The first return follows the last return, so a ray behind the last return counts, too.
         if k and is_cut:
             self._is_cut[0] = True
-        return 0
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _bridge(self) -> cython.int:
+    def _bridge(self) -> None:
         """Let single rays without a return not end a chain.
 
         A sensor may lose a ray here and there, and reports it as a ray without a return. The
         returns on both sides must be less than _BRIDGED m apart. A scan with more than _LOST_ALONE
         of these rays keeps all cuts: a row of bodies has more such gaps.
         """
-        k: cython.Py_ssize_t
-        bridged: cython.Py_ssize_t = 0
+        bridged = 0
         for k in range(1, self._returns):
             if self._is_single[k] and self._are_within(_BRIDGED, k - 1, k):
                 bridged += 1
         if bridged > _LOST_ALONE:
-            return 0
+            return
         for k in range(1, self._returns):
             if self._is_single[k] and self._are_within(_BRIDGED, k - 1, k):
                 self._is_cut[k] = 0
-        return 0
 
-    @cython.cfunc
-    @cython.inline
-    @cython.exceptval(-1)
-    def _add_to_sums(self, k: cython.Py_ssize_t, x: cython.double, y: cython.double) -> cython.int:
+    def _add_to_sums(self, k: int, x: float, y: float) -> None:
         """Set the sums over the returns up to return `k`, whose place is (x, y) in m."""
         sums = self._sums
-        before: cython.Py_ssize_t = _SUMS * k
-        to: cython.Py_ssize_t = before + _SUMS
+        before = _SUMS * k
+        to = before + _SUMS
         sums[to + _SUM_COUNT] = sums[before + _SUM_COUNT] + 1.0
         sums[to + _SUM_X] = sums[before + _SUM_X] + x
         sums[to + _SUM_Y] = sums[before + _SUM_Y] + y
@@ -270,13 +241,10 @@ class StraightRuns:
         sums[to + _SUM_XY] = sums[before + _SUM_XY] + x * y
         sums[to + _SUM_YY] = sums[before + _SUM_YY] + y * y
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _find_runs(self) -> cython.int:
+    def _find_runs(self) -> None:
         """Split the returns into chains, and these into straight runs."""
-        k: cython.Py_ssize_t
-        begin: cython.Py_ssize_t = 0
-        count: cython.Py_ssize_t = self._returns
+        begin = 0
+        count = self._returns
         self.count = 0
         for k in range(1, count + 1):
             if k < count and not self._is_cut[k] and self._are_within(SPACING, k - 1, k):
@@ -285,32 +253,25 @@ class StraightRuns:
                 self._split(begin, k - 1)
             begin = k
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _are_within(
-        self, distance: cython.double, a: cython.Py_ssize_t, b: cython.Py_ssize_t
-    ) -> cython.int:
-        """1 if two returns are at most `distance` m apart."""
+    def _are_within(self, distance: float, a: int, b: int) -> bool:
+        """True if two returns are at most `distance` m apart."""
         dx = self.x[b] - self.x[a]
         dy = self.y[b] - self.y[a]
         return dx * dx + dy * dy <= distance * distance
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _split(self, begin: cython.Py_ssize_t, end: cython.Py_ssize_t) -> cython.int:
+    def _split(self, begin: int, end: int) -> None:
         """Add the straight runs of the chain from return `begin` to return `end`, in their order.
 
         A part whose farthest return from the chord is more than _STRAIGHT m off is split there.
         """
-        k: cython.Py_ssize_t
         stack = self._stack
-        top: cython.Py_ssize_t = 2
+        top = 2
         stack[0] = begin
         stack[1] = end
         while top > 0:
             top -= 2
-            first: cython.Py_ssize_t = stack[top]
-            last: cython.Py_ssize_t = stack[top + 1]
+            first = stack[top]
+            last = stack[top + 1]
             if last - first + 1 < _FEWEST:
                 continue
             # 1. The return that is farthest from the chord.
@@ -319,7 +280,7 @@ class StraightRuns:
             dx = self.x[last] - x
             dy = self.y[last] - y
             length = hypot(dx, dy)
-            farthest: cython.Py_ssize_t = first
+            farthest = first
             most = 0.0
             for k in range(first + 1, last):
                 off = fabs(dx * (self.y[k] - y) - dy * (self.x[k] - x))
@@ -329,7 +290,7 @@ class StraightRuns:
             # 2. Splits there, the later part first on the stack; or adds a run.
             if most > _STRAIGHT * length and farthest > first:
                 if top + 4 > _STACK:
-                    return 0  # a chain of noise: the rest of it has no runs
+                    return  # a chain of noise: the rest of it has no runs
                 stack[top] = farthest
                 stack[top + 1] = last
                 stack[top + 2] = first
@@ -338,11 +299,8 @@ class StraightRuns:
             elif self.count < _RUNS:
                 self._add_run(first, last)
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _add_run(self, first: cython.Py_ssize_t, last: cython.Py_ssize_t) -> cython.int:
+    def _add_run(self, first: int, last: int) -> None:
         """Add the run from return `first` to return `last`, if it is smooth."""
-        j: cython.Py_ssize_t
         run: Run = self.runs[self.count]
         run.first = first
         run.length = last - first
@@ -351,10 +309,8 @@ class StraightRuns:
         if self._fit(run):
             self.count += 1
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _fit(self, run: Run) -> cython.int:
-        """Set the line of a run by its sums; 0 for a rough run.
+    def _fit(self, run: Run) -> bool:
+        """Set the line of a run by its sums; False for a rough run.
 
         The line is fitted by total least squares, and leads from the first return to the last. A
         run is rough if its returns are too far off this line.
@@ -371,17 +327,17 @@ class StraightRuns:
         root = sqrt(half * half + xy * xy)
         lesser = 0.5 * (xx + yy) - root
         if not lesser <= _ROUGH * _ROUGH:
-            return 0
+            return False
         # 3. The direction of the line: the eigenvector of the greater eigenvalue. There are two
         # formulas for this vector. Each is exact where both numbers that it adds have one sign.
         ux = half + root if half >= 0.0 else xy
         uy = xy if half >= 0.0 else root - half
         length = hypot(ux, uy)
         if not length > 0.0:
-            return 0
+            return False
         # 4. The unit vector of this direction, towards the last return.
-        first: cython.Py_ssize_t = run.first
-        last: cython.Py_ssize_t = self.return_of(run, run.length)
+        first = run.first
+        last = self.return_of(run, run.length)
         along = ux * (self.x[last] - self.x[first])
         along += uy * (self.y[last] - self.y[first])
         length = -length if along < 0.0 else length  # a negative length reverses the vector
@@ -393,21 +349,16 @@ class StraightRuns:
         run.uy = uy
         run.begin = ux * (self.x[first] - x) + uy * (self.y[first] - y)
         run.end = ux * (self.x[last] - x) + uy * (self.y[last] - y)
-        return 1
+        return True
 
-    @cython.cfunc
-    @cython.exceptval(-2)
-    def return_of(self, run: Run, number: cython.Py_ssize_t) -> cython.Py_ssize_t:
+    def return_of(self, run: Run, number: int) -> int:
         """The index of a return of a run: `number` returns behind its first one."""
-        place: cython.Py_ssize_t = run.first + number
+        place = run.first + number
         return place - self._returns if place >= self._returns else place
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _join_runs(self) -> cython.int:
+    def _join_runs(self) -> None:
         """Join runs that follow each other on one line; the first run follows the last one."""
-        i: cython.Py_ssize_t
-        kept: cython.Py_ssize_t = 0
+        kept = 0
         for i in range(self.count):
             run: Run = self.runs[i]
             if kept and self._join(self.runs[kept - 1], run):
@@ -422,13 +373,10 @@ class StraightRuns:
             self.runs[0] = run
         self.count = kept
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _join(self, run: Run, after: Run) -> cython.int:
-        """Join the run `after` to a run; 0 if they are not of one line."""
-        j: cython.Py_ssize_t
-        last: cython.Py_ssize_t = self.return_of(run, run.length)
-        first: cython.Py_ssize_t = after.first
+    def _join(self, run: Run, after: Run) -> bool:
+        """Join the run `after` to a run; False if they are not of one line."""
+        last = self.return_of(run, run.length)
+        first = after.first
         # 1. The distance from the last return of `run` to the first return of `after`: at most
         # SPACING m along the line. The distance is negative if the runs overlap: if the robot turns
         # with the lidar, the last run of the scan overlaps the first run.
@@ -438,71 +386,61 @@ class StraightRuns:
         across = run.ux * dy - run.uy * dx
         most_overlap = run.begin - run.end
         if not (most_overlap <= along <= SPACING and fabs(across) <= 2.0 * _STRAIGHT):
-            return 0
+            return False
         # 2. No ray between the two runs may pass through the line. The first return follows the
         # last return.
-        steps: cython.Py_ssize_t = first - last  # from the last return of `run` to `first`
+        steps = first - last  # from the last return of `run` to `first`
         if steps <= 0:
             steps += self._returns
         if self._passes_through(run, last, steps):
-            return 0
+            return False
         # 3. Fits a line to the returns of both runs. If the joined run is rough, or contains all
         # returns of the scan, `run` becomes what it was.
-        kept: cython.Py_ssize_t = run.length
+        kept = run.length
         for j in range(_SUMS):
             run.sums[j] += after.sums[j]
         run.length = kept + steps + after.length
         if run.length < self._returns and self._fit(run):
-            return 1
+            return True
         for j in range(_SUMS):
             run.sums[j] -= after.sums[j]
         run.length = kept
-        return 0
+        return False
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _passes_through(
-        self, run: Run, last: cython.Py_ssize_t, steps: cython.Py_ssize_t
-    ) -> cython.int:
-        """1 if a ray at the `steps` returns behind return `last` passes through the line of a run.
+    def _passes_through(self, run: Run, last: int, steps: int) -> bool:
+        """True if a ray at the `steps` returns behind return `last` passes the line of a run.
 
         A ray without a return passes through, and so does a ray whose return is behind the line.
         """
-        k: cython.Py_ssize_t
         for k in range(1, steps + 1):
-            place: cython.Py_ssize_t = last + k
+            place = last + k
             place = place - self._returns if place >= self._returns else place
             if self._is_cut[place] or self._before(run, place) < -_THROUGH:
-                return 1
-        return 0
+                return True
+        return False
 
-    @cython.cfunc
-    @cython.exceptval(-2)
-    def corner_of(self, number: cython.Py_ssize_t) -> cython.Py_ssize_t:
+    def corner_of(self, number: int) -> int:
         """The return of a long run that meets run `number` at a corner; -1 without such a return.
 
         Run `number` must lead away behind the line of the long run, as the post of a door does. A
         run that stands out before the line may be a body that stands at a wall.
         """
-        k: cython.Py_ssize_t
         run: Run = self.runs[number]
         for k in range(2):
-            beside: cython.Py_ssize_t = number - 1 if k == 0 else number + 1
+            beside = number - 1 if k == 0 else number + 1
             beside = beside + self.count if beside < 0 else beside
             beside = beside - self.count if beside >= self.count else beside
             other: Run = self.runs[beside]
             if not other.is_long:
                 continue
-            near: cython.Py_ssize_t = self.return_of(other, 0 if k else other.length)
-            own: cython.Py_ssize_t = self.return_of(run, run.length if k else 0)
-            far: cython.Py_ssize_t = self.return_of(run, 0 if k else run.length)
+            near = self.return_of(other, 0 if k else other.length)
+            own = self.return_of(run, run.length if k else 0)
+            far = self.return_of(run, 0 if k else run.length)
             if self._are_within(_CORNER, near, own) and self._before(other, far) <= _ON_LINE:
                 return near
         return -1
 
-    @cython.cfunc
-    @cython.exceptval(-1.0, check=True)
-    def _before(self, run: Run, place: cython.Py_ssize_t) -> cython.double:
+    def _before(self, run: Run, place: int) -> float:
         """m by which a return lies before the line of a run, seen from the lidar; < 0: behind."""
         nx = -run.uy
         ny = run.ux
@@ -511,19 +449,14 @@ class StraightRuns:
         off = nx * (self.x[place] - x) + ny * (self.y[place] - y)
         return off if nx * (self.lidar_x - x) + ny * (self.lidar_y - y) >= 0.0 else -off
 
-    @cython.cfunc
-    @cython.exceptval(-1.0, check=True)
-    def along(self, run: Run, number: cython.Py_ssize_t) -> cython.double:
+    def along(self, run: Run, number: int) -> float:
         """m along a run of its return `number`; NaN for a return that is not on the line."""
-        place: cython.Py_ssize_t = self.return_of(run, number)
+        place = self.return_of(run, number)
         if not self.is_on_line(run, self.x[place], self.y[place]):
             return NAN
         return run.ux * (self.x[place] - run.x) + run.uy * (self.y[place] - run.y)
 
-    @cython.cfunc
-    @cython.inline
-    @cython.exceptval(-1)
-    def is_on_line(self, run: Run, x: cython.double, y: cython.double) -> cython.int:
-        """1 if a place is so near the line of a run that a return there stands with the run."""
+    def is_on_line(self, run: Run, x: float, y: float) -> bool:
+        """True if a place is so near the line of a run that a return there stands with the run."""
         across = run.ux * (y - run.y) - run.uy * (x - run.x)
         return fabs(across) <= _ON_LINE
