@@ -115,7 +115,7 @@ class Admission:
             case Stop():
                 return body if _may_send_stop(body, author) else Flaw.FORGED
             case RunLease():
-                # `Peer` judges its age.
+                # `PeerProtocol` judges its age.
                 return body if body.operator == author.name else Flaw.FORGED
             case Swarm():
                 return Flaw.ROLE  # no role may sign a `Swarm`
