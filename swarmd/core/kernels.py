@@ -115,6 +115,7 @@ LIBRARIES: Mapping[str, Mapping[str, tuple[str, ...]]] = {
             "swarmd.robot.effects",
             "swarmd.robot.pattern_run",
             "swarmd.robot.input_ages",
+            "swarmd.robot.state_machine",
             "swarmd.robot.ticker",
         ),
     },

@@ -46,7 +46,7 @@ def shown(group: str, title: str, unit: str = "") -> Meta:
 
 
 class State(StrEnum):
-    """The state of a robot; `robot/state.py` has the transitions."""
+    """The state of a robot; `robot/state_machine.py` has the transitions."""
 
     IDLE = "idle"
     RUNNING = "running"

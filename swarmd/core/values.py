@@ -81,7 +81,7 @@ class Pose(Struct, frozen=True, array_like=True, gc=False):
         return self.x * 0.0 + self.y * 0.0 + self.yaw * 0.0 == 0.0
 
 
-class Scan(Struct, frozen=True, eq=False):
+class Scan(Struct, frozen=True, eq=False, dict=True):
     """Rays of one revolution, in directions of the base frame, measured from the sensor.
 
     - `seq`: the number of the scan, which rises.
@@ -103,6 +103,9 @@ class Scan(Struct, frozen=True, eq=False):
 
     While the order of the rays is unknown, the ages are bounds: `newest_age` is the mean age of the
     rays, and each of `ages` is half of the duration of the scan. No ray is older than their sum.
+
+    `__dict__` lends what `robot/sensing/scan_layout.py` derives from the rays. It is no field: no
+    copy, message or memory of a robot contains it.
     """
 
     seq: int

@@ -1,8 +1,8 @@
 """The network of one daemon: datagrams between robots, and a Zenoh session that operators dial.
 
-`Network` connects three parts: `Peer`, the pure datagram protocol, which makes all decisions;
-`NetworkConnection` with the sockets and the session; and the daemon. All calls are on the loop. The
-daemon's tick calls `advance`.
+`Network` connects three parts: `PeerProtocol`, the pure datagram protocol, which makes all
+decisions; `NetworkConnection` with the sockets and the session; and the daemon. All calls are on
+the loop. The daemon's tick calls `advance`.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ from swarmd.link.keys.identity import Identity, authority_of
 from swarmd.link.keys.roster import Role
 from swarmd.link.members.link_quality import LinkQuality
 from swarmd.link.members.membership import MAX_MEMBERS
-from swarmd.link.peer import Peer, PeerActions, PeerSettings, StopVerdict, Summary
+from swarmd.link.peer import PeerActions, PeerProtocol, PeerSettings, StopVerdict, Summary
 from swarmd.link.settings import NetworkSettings
 from swarmd.link.signature import Author
 
@@ -178,31 +178,31 @@ class Network:
         self._is_settled = False  # True once the id is owned and the latches of peers are known
         self._is_duplicate = False  # another daemon holds this robot's id
         self._is_full = False  # there were more members than MAX_MEMBERS
-        self._peer: Peer | None = None  # the datagram protocol, from `join` on
+        self._protocol: PeerProtocol | None = None  # the datagram protocol, from `join` on
 
     # State
 
     @property
     def owns_id(self) -> bool:
         """True once the claim of the id has succeeded."""
-        return self._peer is not None and self._peer.owns_id
+        return self._protocol is not None and self._protocol.owns_id
 
     @property
     def members(self) -> Mapping[str, Member]:
         """By id: the other robots that were heard since the start and not forgotten."""
-        return {} if self._peer is None else self._peer.membership.members(boottime())
+        return {} if self._protocol is None else self._protocol.membership.members(boottime())
 
     @property
     def bodies(self) -> Mapping[str, Body | None]:
         """By id: the body that each member reports, None before the report."""
-        return {} if self._peer is None else self._peer.membership.bodies()
+        return {} if self._protocol is None else self._protocol.membership.bodies()
 
     @property
     def alive(self) -> tuple[str, ...]:
         """The other robots that are alive."""
-        if self._peer is None:
+        if self._protocol is None:
             return ()
-        return tuple(robot for robot, _ in self._peer.membership.alive_addresses())
+        return tuple(robot for robot, _ in self._protocol.membership.alive_addresses())
 
     @property
     def programs(self) -> tuple[str, ...]:
@@ -212,18 +212,18 @@ class Network:
 
     def links(self) -> Iterator[tuple[str, LinkQuality, tuple[str, ...]]]:
         """For each robot heard so far: id, link quality, and the routes of its datagrams."""
-        if self._peer is None:
+        if self._protocol is None:
             return
         now = boottime()
-        for robot in self._peer.membership.members(now):
-            quality = self._peer.links.quality(robot, now)
-            address = self._peer.membership.address(robot)
+        for robot in self._protocol.membership.members(now):
+            quality = self._protocol.links.quality(robot, now)
+            address = self._protocol.membership.address(robot)
             if quality is not None and address is not None:
                 yield robot, quality, self._ways_of(address, now)
 
     def link(self, robot: str) -> LinkQuality | None:
         """How well a robot is heard; None for a robot that was never heard."""
-        return None if self._peer is None else self._peer.links.quality(robot, boottime())
+        return None if self._protocol is None else self._protocol.links.quality(robot, boottime())
 
     def _ways_of(self, address: Address, now: float) -> tuple[str, ...]:
         carrier = self._carrier
@@ -231,11 +231,11 @@ class Network:
 
     def heard(self) -> Iterator[tuple[str, str, float]]:
         """For each robot that is alive: id, host, and the share of its beacons that arrive here."""
-        if self._peer is None:
+        if self._protocol is None:
             return
         now = boottime()
-        for robot, address in self._peer.membership.alive_addresses():
-            quality = self._peer.links.quality(robot, now)
+        for robot, address in self._protocol.membership.alive_addresses():
+            quality = self._protocol.links.quality(robot, now)
             if quality is not None:
                 yield robot, address[0], 1.0 - quality.loss
 
@@ -259,8 +259,8 @@ class Network:
                 counts["datagram:unsent"] = self._carrier.unsent
         if self._lost > 0:
             counts["msg:lost"] = self._lost
-        if self._peer is not None and self._peer.membership.ignored:
-            counts["members:full"] = self._peer.membership.ignored
+        if self._protocol is not None and self._protocol.membership.ignored:
+            counts["members:full"] = self._protocol.membership.ignored
         return counts
 
     # Life
@@ -275,9 +275,9 @@ class Network:
         if self._identity is not None:
             self._guard = self._guard_of(self._identity, owner)
         await self._connection.open()
-        self._peer = self._made_peer(owner)
-        await self._claim(self._peer)
-        while not self._peer.is_in_sync(boottime()):  # with the latches of the peers
+        self._protocol = self._made_protocol(owner)
+        await self._claim(self._protocol)
+        while not self._protocol.is_in_sync(boottime()):  # with the latches of the peers
             await asyncio.sleep(SYNC_PERIOD)
         self._is_settled = True
         self._serve()
@@ -294,10 +294,10 @@ class Network:
             on_newer_roster=owner.on_newer_roster,
         )
 
-    def _made_peer(self, owner: NetworkOwner) -> Peer:
+    def _made_protocol(self, owner: NetworkOwner) -> PeerProtocol:
         """The datagram protocol, which begins to claim the id of this robot."""
         settings = self._settings
-        return Peer(
+        return PeerProtocol(
             PeerSettings(
                 robot=self._robot.name,
                 instance=self._instance,
@@ -318,84 +318,84 @@ class Network:
             make_status=lambda: encode(owner.status()),
         )
 
-    async def _claim(self, peer: Peer) -> None:
+    async def _claim(self, protocol: PeerProtocol) -> None:
         """Wait until the id is claimed; IdHeldError if a daemon owns the id already (the holder).
 
         The claim lasts longer while another daemon (a rival) claims the id, too.
         """
         warn_at = boottime() + CLAIM_WARNING
-        while not peer.owns_id:
+        while not protocol.owns_id:
             self.advance()
             if boottime() > warn_at:
                 warn_at = float("inf")  # warn once
-                _warn_of_claim(self._robot.name, peer.rivals)
-            if holder := peer.holder:
+                _warn_of_claim(self._robot.name, protocol.rivals)
+            if holder := protocol.holder:
                 raise IdHeldError(
                     f"robot id {self._robot.name!r} is held by another daemon (instance {holder});"
                     " stop it, or give this one another id"
                 )
-            due_in = peer.wake_at() - boottime()
+            due_in = protocol.wake_at() - boottime()
             await asyncio.sleep(max(0.0, min(due_in, MAX_CLAIM_PAUSE)))
 
     def advance(self, *, may_wait: bool = False) -> None:
         """Take messages of programs, and send the datagrams that are due; each tick calls this.
 
         `may_wait`: no event in the last tick. Then nothing but the messages is looked at before
-        `Peer.wake_at`, so that a tick in between takes 20 us instead of 140.
+        `PeerProtocol.wake_at`, so that a tick in between takes 20 us instead of 140.
         """
-        peer = self._peer
-        if peer is None or self._carrier is None:
+        protocol = self._protocol
+        if protocol is None or self._carrier is None:
             return
         now = boottime()
         bus = self._connection.bus
         if bus is not None and bus.programs is not None:
             for message in bus.programs.take(now):
                 self._owner.on_input(MessageInput(*message, is_program=True))
-        if may_wait and now < peer.wake_at():
+        if may_wait and now < protocol.wake_at():
             return
-        self._carry_out(peer.advance(now, self._owner.summary()))
+        self._carry_out(protocol.advance(now, self._owner.summary()))
         self._connection.watch_for_flood(now)
         if self._guard is not None and self._guard.has_new_counters():
             self._loop.run_in_executor(None, self._guard.write_counters)
-        if peer.membership.ignored and not self._is_full:
+        if protocol.membership.ignored and not self._is_full:
             self._is_full = True
             self._owner.on_event(
                 f"more than {MAX_MEMBERS} robots are alive: further ones are ignored"
             )
-        if self._is_duplicate and not peer.duplicates:
+        if self._is_duplicate and not protocol.duplicates:
             self._is_duplicate = False
             self._owner.on_input(DuplicateInput(None))
 
     def publish_message(self, channel: str, payload: bytes) -> None:
         """Send a pattern's message to all robots, and to Zenoh programs that subscribe to it."""
-        if self._peer is not None and self._peer.owns_id:
-            self._send(self._peer.message(channel, payload), None)
+        if self._protocol is not None and self._protocol.owns_id:
+            self._send(self._protocol.message(channel, payload), None)
             bus = self._connection.bus
             if bus is not None and bus.programs is not None:
                 bus.programs.publish(channel, payload)
 
     def publish_pose(self, pose: SharedPose, age: float) -> None:
         """Send the own pose, measured `age` s ago, to all robots; dropped if none is due yet."""
-        place = None if self._peer is None else self._peer.place(pose, age, boottime())
+        place = None if self._protocol is None else self._protocol.place(pose, age, boottime())
         if place is not None:
             self._send(place, None)
 
     def publish_kin_message(self, message: KinMessage) -> None:
         """Tell all robots the own motion, and what this robot sees."""
-        report = None if self._peer is None else self._peer.kin_report(message)
+        report = None if self._protocol is None else self._protocol.kin_report(message)
         if report is not None:
             self._send(report, None)
 
     def ask_clocks(self) -> None:
         """Ask peers for their clocks if a reading is due; the answers go to `on_clock`."""
-        if self._peer is not None:
-            for body, address in self._peer.clock_queries(boottime()):
+        if self._protocol is not None:
+            for body, address in self._protocol.clock_queries(boottime()):
                 self._send(body, address)
 
     def ping(self, robots: Iterable[str]) -> None:
         """Ping the alive robots among `robots`; the answers give the round trips in `links`."""
-        if self._peer is not None:
-            for body, address in self._peer.pings(robots, boottime()):
+        if self._protocol is not None:
+            for body, address in self._protocol.pings(robots, boottime()):
                 self._send(body, address)
 
     def publish(self, name: str, payload: Callable[[], bytes | None]) -> None:
@@ -406,18 +406,18 @@ class Network:
 
     def forget(self, robot: str) -> bool:
         """Remove a robot from the members; False if the robot is alive."""
-        assert self._peer is not None
-        member = self._peer.membership.member(robot, boottime())
+        assert self._protocol is not None
+        member = self._protocol.membership.member(robot, boottime())
         if member is not None and member.presence is Presence.ALIVE:
             return False
-        self._peer.membership.forget(robot)
+        self._protocol.membership.forget(robot)
         return True
 
     def close(self, *, is_leaving: bool) -> None:
         """Close at once; `is_leaving`: first announce to the peers that this robot leaves."""
-        if is_leaving and self._peer is not None and self._peer.owns_id:
+        if is_leaving and self._protocol is not None and self._protocol.owns_id:
             for _ in range(2):
-                self._send(self._peer.leave_beacon(self._owner.summary()), None)
+                self._send(self._protocol.leave_beacon(self._owner.summary()), None)
         self._connection.close()
 
     def take_identity(self, identity: Identity) -> None:
@@ -429,8 +429,8 @@ class Network:
         self._roster = identity.roster.robots
         if self._guard is not None:
             self._guard.take(identity)
-        if self._peer is not None:
-            self._peer.take_roster(self._roster)
+        if self._protocol is not None:
+            self._protocol.take_roster(self._roster)
         self._connection.take_identity(identity)
 
     # Datagrams
@@ -459,7 +459,7 @@ class Network:
             self._take(payload, source, waited)
 
     def _take(self, payload: bytes, source: Address, waited: float) -> None:
-        if self._peer is None:
+        if self._protocol is None:
             return
         now = boottime()
         author = None
@@ -474,11 +474,11 @@ class Network:
             return
         # An exception in the handling of a stop ends the daemon, which stops the robot.
         handle = fail_stop(self._handle) if isinstance(body, Stop) else self._handle
-        handle(self._peer, body, source, author, waited, is_any=is_for_any_swarm(payload))
+        handle(self._protocol, body, source, author, waited, is_any=is_for_any_swarm(payload))
 
     def _handle(
         self,
-        peer: Peer,
+        protocol: PeerProtocol,
         body: Datagram,
         source: Address,
         author: Author | None,
@@ -486,13 +486,13 @@ class Network:
         *,
         is_any: bool,
     ) -> None:
-        """Hand a datagram to the protocol (`peer`), and carry out what follows from the datagram.
+        """Hand a datagram to the protocol, and carry out what follows from the datagram.
 
         `author`: the verified signer; None in a swarm without keys. `waited`: s from arrival until
         the datagram was read. `is_any`: the datagram addresses robots of all swarms, such as a
         query for the names of swarms.
         """
-        actions = peer.on_datagram(
+        actions = protocol.on_datagram(
             body,
             source,
             boottime(),
@@ -570,7 +570,7 @@ class Network:
         if actions.changed:
             self._owner.on_members()
         for robot in actions.changed:
-            lost = None if self._peer is None else self._peer.membership.lost_beacon(robot)
+            lost = None if self._protocol is None else self._protocol.membership.lost_beacon(robot)
             if lost is not None:
                 self._owner.on_lost(lost)
 
@@ -614,8 +614,12 @@ class Network:
 
     def _ack(self, stop: Stop, source: Address, author: Author | None, reply: Reply) -> None:
         """Send the robot's reply to the sender of the stop, if an ack is due now."""
-        peer = self._peer
-        if peer is None or not peer.owns_id or not peer.wants_ack(stop, source, boottime()):
+        protocol = self._protocol
+        if (
+            protocol is None
+            or not protocol.owns_id
+            or not protocol.wants_ack(stop, source, boottime())
+        ):
             return
         ack = Ack(
             id=reply.id,
@@ -659,9 +663,9 @@ class Network:
 
     def is_robot(self, name: str) -> bool:
         """True for this robot, for robots of the roster, and for robots heard here or by others."""
-        if name == self._robot.name or name in self._roster or self._peer is None:
+        if name == self._robot.name or name in self._roster or self._protocol is None:
             return True
-        membership = self._peer.membership
+        membership = self._protocol.membership
         return name in membership.indirect or membership.member(name, boottime()) is not None
 
 

@@ -1,8 +1,8 @@
 """The datagram protocol of one robot. Pure: datagrams and times in, `PeerActions` out.
 
-`Peer` combines the claim of the robot id, the membership, the spread of latches (held emergency
-stops) and goals, the relay of stops, and the loss count of pattern messages. The daemon sends the
-datagrams in `PeerActions.sends`, and carries out the other fields of `PeerActions`.
+`PeerProtocol` combines the claim of the robot id, the membership, the spread of latches (held
+emergency stops) and goals, the relay of stops, and the loss count of pattern messages. The daemon
+sends the datagrams in `PeerActions.sends`, and carries out the other fields of `PeerActions`.
 """
 
 from __future__ import annotations
@@ -136,7 +136,7 @@ class PeerActions:
     sends: list[tuple[Datagram, Address | None]] = field(default_factory=list)
     """Datagrams with their receiver; None: all."""
     stops: list[tuple[Stop, Address]] = field(default_factory=list)
-    """Stops to carry out, with their senders, which get an ack if `Peer.wants_ack`."""
+    """Stops to carry out, with their senders, which get an ack if `PeerProtocol.wants_ack`."""
     latches: dict[str, Latch] = field(default_factory=dict)  # latches that peers have shown, by id
     changed: list[str] = field(default_factory=list)  # robots whose presence changed
     messages: list[Message] = field(default_factory=list)  # messages from patterns of peers
@@ -185,7 +185,7 @@ class PeerSettings:
     """The id of the clock from which `now` is read"""
 
 
-class Peer:
+class PeerProtocol:
     """The protocol state of one robot.
 
     `roster`: the robots that the swarm expects. `admission`: the checks of a secured swarm; None:

@@ -32,6 +32,7 @@ from swarmd.kit.condition_state import UntilConditions, until_conditions
 from swarmd.kit.factory import Assembled, Find, assemble, full_layers
 from swarmd.kit.mistakes import one_line
 from swarmd.kit.params import Params, build, schema
+from swarmd.robot.sensing.scan_layout import ScanLayouts
 
 T = TypeVar("T")
 
@@ -48,6 +49,7 @@ class PatternExecutor:
         self._assembled: Assembled | None = None
         self._until: UntilConditions | None = None
         self._scan: Scan | None = None  # of the last step
+        self._layouts = ScanLayouts()  # what features of scans derive from the scans of this robot
 
     @property
     def needs(self) -> frozenset[str]:
@@ -115,6 +117,8 @@ class PatternExecutor:
         if scan is not last and scan and last and scan.seq == last.seq and not inputs.is_new_scan:
             inputs = replace(inputs, scan=last)
         self._scan = inputs.scan
+        self._layouts.serve(inputs.scan)
+        self._layouts.serve(inputs.ranges)
         try:
             outputs = checked_outputs(pattern.step(inputs), pattern.channels)
         except MemoryError:

@@ -8,7 +8,7 @@ not arrived is -inf.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from swarmd.core import cython_shadow as cython
 from swarmd.core.cython_shadow import INFINITY, floor
@@ -18,12 +18,12 @@ from swarmd.robot import timeouts
 from swarmd.robot.protection.decision import DecisionContext
 
 if TYPE_CHECKING:
-    from collections import deque
     from collections.abc import Mapping
 
     from swarmd.core.kin_message import KinMessage
     from swarmd.core.neighbor_places import NeighborPlaces
     from swarmd.core.values import Detection, Odometry, Pose, Scan
+    from swarmd.robot.inbox import Inbox
     from swarmd.robot.peers import Peers
     from swarmd.robot.protection.decision import PoseAnchors
     from swarmd.robot.sensing.conditioning import ScanConditioner
@@ -117,7 +117,7 @@ class InputAges:
     _conditioner: ScanConditioner = cython.declare(object, visibility="public")
     # The last reading that was refused, or whose stamp stands still; None after a good one.
     _bad_odometry: Odometry | None = cython.declare(object, visibility="public")
-    _inbox: deque[Any] = cython.declare(object, visibility="public")
+    inbox: Inbox = cython.declare(object, visibility="public")
     _neighbors: tuple[Neighbor, ...] = cython.declare(tuple, visibility="public")
     _neighbors_at = cython.declare(cython.double, visibility="public")
     # The neighbours with their ages, and how often these ages were computed anew.
@@ -229,7 +229,7 @@ class InputAges:
             self._is_new_scan != 0,
             self.odometry,
             InputAges.neighbors(self, now),
-            self._take_messages(now) if self._inbox else (),  # type: ignore[attr-defined]  # of Sensors
+            self.inbox.take(now),
             self.readings,
             None if self._ring is None else self._ring.scan,
             self.detections,

@@ -17,7 +17,6 @@ from swarmd.core import events
 from swarmd.core.events import Input
 from swarmd.core.goal import GoalRecord, HeldGoal, digest_of
 from swarmd.core.host_messages import TrialDone
-from swarmd.core.kin_message import KinMessage
 from swarmd.core.low_battery import READING as BATTERY
 from swarmd.core.messages import (
     MAX_TRACKS,
@@ -35,20 +34,21 @@ from swarmd.core.messages import (
 from swarmd.core.values import OPTION_INPUTS, Platform, Scalar, Scan, SharedPose
 from swarmd.robot.actions import Actions
 from swarmd.robot.goal_handler import GoalHandler
-from swarmd.robot.message_limits import EventLimit
 from swarmd.robot.pattern_run import PatternRun
 from swarmd.robot.peers import POSE_TIMEOUT
 from swarmd.robot.protection.compatibility import Accepts, longest_diagonal
-from swarmd.robot.protection.decision import Decision, DecisionContext
+from swarmd.robot.protection.decision import Decision
 from swarmd.robot.protection.protection import Protection, ProtectionView
 from swarmd.robot.requests import RequestHandler
+from swarmd.robot.robot_log import RobotLog
 from swarmd.robot.sensors import Sensors
 from swarmd.robot.setup import EarlierLives, RobotIdentity, RobotSetup
-from swarmd.robot.standing import HELD_TIME, StandingWatch
-from swarmd.robot.state import Lifecycle, StateMachine
+from swarmd.robot.standing import StandingWatch
+from swarmd.robot.state import Lifecycle
+from swarmd.robot.state_machine import StateMachine
 from swarmd.robot.status import decision_summary, make_status, status_reason
+from swarmd.robot.status_watch import StatusWatch
 from swarmd.robot.ticker import DutyCycle, Ticker
-from swarmd.robot.timeouts import STATUS_PERIOD
 
 if TYPE_CHECKING:
     from swarmd.robot.effects import Effects
@@ -123,7 +123,7 @@ class Robot(Ticker):
         # The counts continue, so that no request or answer to an earlier process seems new.
         self._lifecycle.revision = earlier.revision
         self._lifecycle.pattern_run.generation = earlier.generation
-        self._events = EventLimit(self._lifecycle)
+        self._log = RobotLog(self._lifecycle)
         # Parts of the lifecycle as fields, since each tick reads them.
         self._machine = self._lifecycle.state_machine
         self._run = self._lifecycle.pattern_run
@@ -134,7 +134,7 @@ class Robot(Ticker):
         )
         self._duty = DutyCycle()  # counts the ticks of a run in which protection is active
         self._standing = StandingWatch(platform)
-        self._published: tuple[object, ...] = ()  # the values of the last published status
+        self._status_watch = StatusWatch(self._lifecycle, self._sensors)
         self._decide(None, now)  # the first decision: zero, since no scan has arrived
 
     # Present state
@@ -262,8 +262,8 @@ class Robot(Ticker):
             self._due_at = -math.inf
             self._quiet_until = -math.inf
         for (kind, text), names in robots.items():
-            self._events.log(f"peers {kind}", f"peer {', '.join(names)}: {text}", now)
-        self._events.advance(now)
+            self._log.peers(kind, text, names, now)
+        self._log.advance(now)
 
     def pose_to_tell(self, now: float) -> tuple[SharedPose, float] | None:
         """The own pose to send to peers, and its highest possible age in s; None: send nothing."""
@@ -299,9 +299,7 @@ class Robot(Ticker):
         before = holds.present
         self._sensors.on_hazards(one.hazards, now)
         if before != holds.present:
-            text = ", ".join(hazard.text for hazard in holds.present) or "none any more"
-            self._events.log("hazards", f"hazards: {text}", now)
-            self._events.advance(now)
+            self._log.hazards([hazard.text for hazard in holds.present], now)
 
     @_settled
     def _on_driver(self, one: events.DriverInput, effects: Effects) -> None:
@@ -415,112 +413,6 @@ class Robot(Ticker):
     def scan(self) -> Scan | None:
         """The latest conditioned scan."""
         return self._sensors.scan
-
-    def _share(self, context: DecisionContext, asks: bool) -> KinMessage | None:
-        """Name the tracks after a new scan; the message to peers that is due, or None.
-
-        `asks`: the running pattern needs the places of peers.
-        """
-        sensors = self._sensors
-        steering = self._steering
-        now = context.now
-        if asks:
-            sensors.ask_kin(now)
-        sensors.end_kin(now)
-        kin = sensors.kin
-        scan = sensors.scan
-        steering.must_track = kin is not None
-        if kin is None or scan is None:
-            return None
-        tracks = steering.tracks(context) or ()
-        kin.observe(tracks, scan, now)
-        return kin.next_message(now, asks)
-
-    def _log_protection(self, now: float) -> None:
-        events = self._protection.events
-        while events:
-            self._lifecycle.log(events.pop(0), now)
-
-    def _log_steering(self, error: Exception, now: float) -> None:
-        """Log that steering raised an error or gave a wrong answer, for which the robot stands."""
-        try:
-            why = " ".join(str(error).split())
-        except Exception:  # of the text itself
-            why = "its text cannot be read"
-        text = f"steering failed, the robot stands: {type(error).__name__}: {why}"
-        self._events.log("steering", text, now)
-        self._events.advance(now)
-
-    def _log_following(self, text: str, now: float) -> None:
-        self._is_off_command = bool(text)
-        if text or self.is_running:
-            self._events.log("following", text or "the base follows its commands again", now)
-            self._events.advance(now)
-
-    def _restart(self, effects: Effects) -> None:
-        """Load a failed pattern again once its backoff is over."""
-        run = self._lifecycle.pattern_run
-        running = run.running
-        if effects.now < run.restart_at:
-            return
-        if running is not None and effects.host is None:
-            self._lifecycle.start_run(
-                running.pattern,
-                running.params,
-                effects,
-                wish=running.wish,
-                until=running.until,
-                is_restart=True,
-                speed=running.permit.speed,
-            )
-
-    def _take_due_status(self, now: float) -> bool:
-        """True if the caller must publish the status at `now`; the status then counts as published.
-
-        The status is due if a value that peers act on has changed, or after STATUS_PERIOD.
-        """
-        self._is_status_due = False  # nothing has changed since this check
-        self._watch_standing(now)
-        current_values = self._status_values()
-        is_recent = now - self._published_at < STATUS_PERIOD
-        if current_values == self._published and is_recent:
-            return False
-        self._published = current_values
-        self._published_at = now
-        return True
-
-    def _watch_standing(self, now: float) -> None:
-        """Notice a robot that protection keeps in place, and log that it does."""
-        sensors = self._sensors
-        odometry = sensors.odometry
-        pose = None if odometry is None else odometry.pose
-        if self._standing.update(self.decision, pose, sensors.scan, now):
-            text = f"protection has held it for {HELD_TIME:.0f} s, with free floor"
-            self._events.log("held", text, now)
-            self._events.advance(now)
-
-    def _status_values(self) -> tuple[object, ...]:
-        """The values whose change must be published before STATUS_PERIOD has passed."""
-        lifecycle = self._lifecycle
-        machine = self._lifecycle.state_machine
-        reason = status_reason(lifecycle, self.decision)
-        if reason in (Reason.NO_REQUESTED_COMMAND, Reason.PROTECTION):
-            reason = None  # may change with every scan: not worth a status before its time
-        running = lifecycle.pattern_run.running
-        loading = lifecycle.pattern_run.loading
-        return (
-            machine.state,
-            reason,
-            machine.detail,
-            lifecycle.revision,
-            None if running is None else running.generation,
-            None if running is None else running.values,
-            None if loading is None else loading.generation,
-            tuple(lifecycle.latches.held),
-            self._sensors.is_driver_up,
-            self._sensors.hazards.present,
-            None if lifecycle.pattern_run.hand is None else lifecycle.pattern_run.hand.id,
-        )
 
 
 HANDLERS: dict[type[Input], Callable[[Robot, Any, float], Actions | None]] = {

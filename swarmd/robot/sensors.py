@@ -13,10 +13,8 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
-from msgspec import Struct
 from msgspec.structs import astuple
 
-from swarmd.core.codec import encode_value
 from swarmd.core.events import DetectionsInput, SensorInput, tag_of
 from swarmd.core.hazard import Hazard
 from swarmd.core.messages import Body, PeerFinding, Reason
@@ -25,7 +23,6 @@ from swarmd.core.values import (
     KIN,
     OPTION_INPUTS,
     PLACES_BY_POSE,
-    Message,
     Neighbor,
     Odometry,
     PeerPlace,
@@ -37,6 +34,7 @@ from swarmd.core.values import (
     Value,
 )
 from swarmd.robot.hazard_holds import HazardHolds
+from swarmd.robot.inbox import Inbox
 from swarmd.robot.input_ages import InputAges
 from swarmd.robot.peers import POSE_TIMEOUT, Peers
 from swarmd.robot.protection.compatibility import (
@@ -58,19 +56,7 @@ from swarmd.robot.timeouts import NEIGHBOR_TIMEOUT, ODOMETRY_TIMEOUT
 if TYPE_CHECKING:
     from swarmd.robot.input_ages import Hold
 
-MESSAGE_OVERHEAD = 200  # bytes of sender, channel and age in a frame
 SCAN_TIMES = 12  # scans over which the scan rate is measured
-MAX_INBOX_BYTES = 100_000  # of messages kept between two steps; the oldest are dropped first
-
-
-class _ReceivedMessage(Struct, frozen=True, gc=False):
-    """A message that waits for the next step of the pattern."""
-
-    sender: str
-    channel: str
-    value: Value
-    received_at: float  # s
-    size: int  # bytes, with MESSAGE_OVERHEAD
 
 
 class Sensors(InputAges):
@@ -116,9 +102,7 @@ class Sensors(InputAges):
         if anchors is not None:  # else this hold never begins
             self.pose_hold.begins = anchors.until
         # Messages of other robots' patterns, kept until the next step of the own pattern.
-        self._inbox: deque[_ReceivedMessage] = deque()
-        self._inbox_bytes = 0
-        self.overflowed = 0  # messages that the inbox did not hold
+        self.inbox = Inbox()
         self.rejected = 0  # messages whose sender is no neighbour
         self._begin_driver_reports()
 
@@ -193,7 +177,7 @@ class Sensors(InputAges):
 
     def on_new_run(self, now: float) -> None:
         """Drop what belongs to the run before: messages, and doubts about blocked directions."""
-        self.forget_messages()
+        self.inbox.clear()
         self._conditioner.on_new_run(now)
 
     def on_neighbors(self, neighbors: tuple[Neighbor, ...], now: float) -> None:
@@ -286,8 +270,7 @@ class Sensors(InputAges):
         """Keep a message from `sender` for the next step of the own pattern.
 
         False (rejected) if the sender is neither a neighbour nor a program (`is_program`). `size`:
-        bytes of the encoded value. If `size` is 0 (unknown), the method encodes the value to
-        measure the size, and raises CodecError for a value that is too large.
+        see `Inbox.add`.
         """
         if self._neighbor_ids is None:
             self._neighbor_ids = frozenset(neighbor.id for neighbor in self._neighbors)
@@ -295,13 +278,7 @@ class Sensors(InputAges):
         if not (is_neighbor or is_program):
             self.rejected += 1
             return False
-        size = MESSAGE_OVERHEAD + (size or len(encode_value(value)))
-        self._inbox.append(_ReceivedMessage(sender, channel, value, now, size))
-        self._inbox_bytes += size
-        # A full inbox drops its oldest messages.
-        while self._inbox_bytes > MAX_INBOX_BYTES:
-            self._inbox_bytes -= self._inbox.popleft().size
-            self.overflowed += 1
+        self.inbox.add(sender, channel, value, now, size)
         return True
 
     def on_readings(self, values: Mapping[str, float]) -> None:
@@ -370,19 +347,6 @@ class Sensors(InputAges):
         if len(times) < 2 or now - times[-1] > 2.0 * self._stale_after:
             return 0.0
         return (len(times) - 1) / max(times[-1] - times[0], 1e-4)
-
-    def _take_messages(self, now: float) -> tuple[Message, ...]:
-        """The messages since the last step; empties the inbox."""
-        messages = tuple(
-            [Message(m.sender, m.channel, m.value, now - m.received_at) for m in self._inbox]
-        )
-        self.forget_messages()
-        return messages
-
-    def forget_messages(self) -> None:
-        """Drop all messages that were meant for an earlier pattern."""
-        self._inbox.clear()
-        self._inbox_bytes = 0
 
 
 class RangeRing:

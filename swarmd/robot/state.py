@@ -1,7 +1,8 @@
-"""The state of one robot and all that changes it: triggers, transitions, the lifecycle. Pure.
+"""All that changes the state of one robot: the lifecycle, which fires triggers. Pure.
 
 Each method of `Lifecycle` adds the effects of one event to `Effects`; requests and goals call these
-methods. Only `StateMachine.apply` changes the state. Every trigger is fired in this file:
+methods. `state_machine.py` has the transitions; only `StateMachine.apply` changes the state. Every
+trigger is fired in this file:
 
 | trigger     | cause                                                  | reason               |
 |-------------|--------------------------------------------------------|----------------------|
@@ -38,8 +39,6 @@ import math
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import replace
-from enum import StrEnum
-from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from msgspec import structs
@@ -69,7 +68,7 @@ from swarmd.robot.pattern_load import Loading, PendingParams, Trial, Wish, load_
 from swarmd.robot.pattern_run import PatternRun
 from swarmd.robot.protection.decision import Permit
 from swarmd.robot.setup import RobotIdentity
-from swarmd.robot.ticker import StateField
+from swarmd.robot.state_machine import StateMachine, Trigger
 from swarmd.robot.timeouts import (
     FAULTS_BEFORE_QUARANTINE,
     LOAD_TIMEOUT,
@@ -81,82 +80,6 @@ from swarmd.robot.timeouts import (
 if TYPE_CHECKING:
     from swarmd.core.events import DriveInput
     from swarmd.robot.effects import Effects
-
-
-class Trigger(StrEnum):
-    """The causes of a state change."""
-
-    RUN = "run"
-    FINISH = "finish"
-    STOP = "stop"
-    HOLD_LASTED = "hold_lasted"
-    LOAD_FAILED = "load_failed"
-    STALL = "stall"
-    HAZARD = "hazard"
-    NETWORK = "network"
-    ESTOP = "estop"
-    FAULT = "fault"
-    RESET = "reset"
-
-
-_I = State.IDLE
-_R = State.RUNNING
-_S = State.STOPPED
-_E = State.ESTOPPED
-_F = State.FAULTED
-
-# Every state times every trigger.
-TRANSITIONS: Mapping[Trigger, Mapping[State, State]] = MappingProxyType(
-    {
-        Trigger.RUN: {_I: _R, _R: _R, _S: _R, _E: _E, _F: _F},
-        Trigger.FINISH: {_I: _I, _R: _I, _S: _S, _E: _E, _F: _F},
-        Trigger.STOP: {_I: _S, _R: _S, _S: _S, _E: _E, _F: _F},
-        Trigger.HOLD_LASTED: {_I: _I, _R: _S, _S: _S, _E: _E, _F: _F},
-        Trigger.LOAD_FAILED: {_I: _I, _R: _S, _S: _S, _E: _E, _F: _F},
-        Trigger.STALL: {_I: _S, _R: _S, _S: _S, _E: _E, _F: _F},
-        Trigger.HAZARD: {_I: _S, _R: _S, _S: _S, _E: _E, _F: _F},
-        Trigger.NETWORK: {_I: _I, _R: _S, _S: _S, _E: _E, _F: _F},
-        Trigger.ESTOP: {_I: _E, _R: _E, _S: _E, _E: _E, _F: _E},
-        Trigger.FAULT: {_I: _F, _R: _F, _S: _F, _E: _E, _F: _F},
-        Trigger.RESET: {_I: _I, _R: _R, _S: _I, _E: _I, _F: _I},
-    }
-)
-
-
-class StateMachine(StateField):
-    """The state, its one reason, one line of detail, and the time of the last change of state."""
-
-    def __init__(self, now: float) -> None:
-        self.state = State.IDLE
-        self.reason: Reason | None = Reason.NEVER_ASKED
-        self.detail = ""
-        self.since = now
-
-    def apply(self, trigger: Trigger, reason: Reason | None, detail: str, now: float) -> None:
-        """Change state, reason and detail by a trigger.
-
-        If the trigger leads to the present state, the present reason stays, unless `_RENEWS` lists
-        the trigger for this state, such as STOP for a stopped robot.
-        """
-        target = TRANSITIONS[trigger][self.state]
-        renews = target is self.state and trigger in _RENEWS.get(target, ())
-        if target is self.state and not renews:
-            return
-        if target is not self.state:
-            self.since = now
-        self.state = target
-        self.reason = reason
-        self.detail = detail
-
-
-_RENEWS: Mapping[State, tuple[Trigger, ...]] = MappingProxyType(
-    {
-        _R: (Trigger.RUN,),
-        _S: (Trigger.STOP, Trigger.STALL, Trigger.HAZARD),
-        _E: (Trigger.ESTOP,),
-        _F: (Trigger.FAULT,),
-    }
-)
 
 
 MAX_TEXT = 300  # characters
@@ -600,6 +523,23 @@ class Lifecycle:
             self.refuse(effects, trial.request, refusal, text)
 
     # Operators, peers and the machine
+
+    def restart_failed(self, effects: Effects) -> None:
+        """Load a failed pattern again once its backoff is over."""
+        run = self.pattern_run
+        running = run.running
+        if effects.now < run.restart_at:
+            return
+        if running is not None and effects.host is None:
+            self.start_run(
+                running.pattern,
+                running.params,
+                effects,
+                wish=running.wish,
+                until=running.until,
+                is_restart=True,
+                speed=running.permit.speed,
+            )
 
     def start_run(
         self,

@@ -145,7 +145,7 @@ def _driver(lifecycle: Lifecycle) -> str:
 def _health(lifecycle: Lifecycle, sensors: Sensors, now: float) -> Health:
     """The health of scans, driver, pattern host and messages."""
     dropped_messages = {
-        "msg:inbox_full": sensors.overflowed,
+        "msg:inbox_full": sensors.inbox.overflowed,
         "msg:not_a_neighbor": sensors.rejected,
         "msg:wrong_type": lifecycle.wrong_type_count,
         "msg:too_much_said": lifecycle.outbox.dropped,

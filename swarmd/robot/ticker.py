@@ -1,8 +1,9 @@
 """The hot path of one robot: turns inputs and ticks into `Actions`, and checks holds and deadlines.
 
-A kernel (see `core/kernels.py`), compiled into one unit with effects.py, pattern_run.py and
-input_ages.py. `Robot` extends `Ticker` by the work that is rarer than a tick. Times are in s on the
-robot's clock. A deadline that is not set is inf.
+A kernel (see `core/kernels.py`), compiled into one unit with effects.py, pattern_run.py,
+input_ages.py and state_machine.py. A `Ticker` has all that an input can lead to in an instant;
+`Robot` extends it by what is asked of a robot, and by the inputs that are rarer than a tick. Times
+are in s on the robot's clock. A deadline that is not set is inf.
 """
 
 from __future__ import annotations
@@ -23,19 +24,24 @@ from swarmd.robot.effects import Effects
 from swarmd.robot.input_ages import InputAges
 from swarmd.robot.pattern_run import NOTHING_PERMITTED, ROUNDING, PatternRun, Running, later
 from swarmd.robot.protection.decision import NO_PERMIT, Steered
+from swarmd.robot.state_machine import StateMachine
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from swarmd.core.events import Input, KinInput, MessageInput, ScanInput, TickInput
     from swarmd.core.host_messages import HostCommand
+    from swarmd.core.kin_message import KinMessage
     from swarmd.core.values import Odometry
     from swarmd.robot.goals import Goals
-    from swarmd.robot.protection.decision import Decision
+    from swarmd.robot.protection.decision import Decision, DecisionContext
     from swarmd.robot.protection.protection import Protection
     from swarmd.robot.requests import RequestHandler
+    from swarmd.robot.robot_log import RobotLog
     from swarmd.robot.sensors import Sensors
-    from swarmd.robot.state import Lifecycle, StateMachine
+    from swarmd.robot.standing import StandingWatch
+    from swarmd.robot.state import Lifecycle
+    from swarmd.robot.status_watch import StatusWatch
     from swarmd.robot.steering_interface import Steers
 
 _MAX_HOLD_TIME = cython.declare(cython.double, timeouts.MAX_HOLD_TIME)
@@ -82,13 +88,6 @@ def _check_steered(steered: Any) -> cython.int:
     return 0
 
 
-@cython.cclass
-class StateField:
-    """The state of a robot, which `StateMachine` changes."""
-
-    state: State = cython.declare(object, visibility="public")
-
-
 @cython.final
 @cython.cclass
 class DutyCycle:
@@ -123,12 +122,15 @@ class Ticker:
     _sensors: Sensors = cython.declare(InputAges, visibility="public")
     _run: PatternRun = cython.declare(PatternRun, visibility="public")
     _lifecycle: Lifecycle = cython.declare(object, visibility="public")
-    _machine: StateMachine = cython.declare(StateField, visibility="public")
+    _machine: StateMachine = cython.declare(StateMachine, visibility="public")
     _kept_goals: Goals = cython.declare(object, visibility="public")
     _requests: RequestHandler = cython.declare(object, visibility="public")
     _protection: Protection = cython.declare(object, visibility="public")
     _steering: Steers = cython.declare(object, visibility="public")
     _duty: DutyCycle = cython.declare(DutyCycle, visibility="public")
+    _log: RobotLog = cython.declare(object, visibility="public")
+    _standing: StandingWatch = cython.declare(object, visibility="public")
+    _status_watch: StatusWatch = cython.declare(object, visibility="public")
     _last_tick = cython.declare(cython.double, visibility="public")
     _due_at = cython.declare(cython.double, visibility="public")
     _quiet_until = cython.declare(cython.double, visibility="public")
@@ -228,7 +230,7 @@ class Ticker:
         self._hold = hold
         decision = Ticker._decide(self, hold, now)
         if self._run.restart_at < INFINITY:
-            self._restart(effects)  # type: ignore[attr-defined]  # of Robot
+            self._lifecycle.restart_failed(effects)
         host_command = self._host_command(effects)
         # A status is made only at a tick, so that replies to requests do not wait for it. The
         # exception is a new latch, which peers must learn at once.
@@ -276,11 +278,28 @@ class Ticker:
         )
 
     @cython.cfunc
-    def _must_publish(self, now: cython.double) -> Any:
-        """True if a status is due, which then counts as published."""
-        if self._is_status_due or now >= self._published_at + _STATUS_PERIOD - ROUNDING:
-            return self._take_due_status(now)  # type: ignore[attr-defined]  # of Robot
-        return False
+    def _must_publish(self, now: cython.double) -> cython.bint:
+        """True if a status is due, which then counts as published.
+
+        That is if a value that peers act on has changed, or after STATUS_PERIOD.
+        """
+        if not (self._is_status_due or now >= self._published_at + _STATUS_PERIOD - ROUNDING):
+            return False
+        self._is_status_due = False  # nothing has changed since this check
+        self._watch_standing(now)
+        is_recent: cython.bint = now - self._published_at < _STATUS_PERIOD
+        if not self._status_watch.take_due(self.decision, is_recent):
+            return False
+        self._published_at = now
+        return True
+
+    @cython.cfunc
+    def _watch_standing(self, now: cython.double) -> cython.int:
+        """Notice a robot that protection keeps in place, and log that it does."""
+        sensors = self._sensors
+        pose = None if sensors.odometry is None else sensors.odometry.pose
+        if self._standing.update(self.decision, pose, sensors.scan, now):
+            self._log.held(now)
 
     @cython.cfunc
     def _actions(
@@ -377,18 +396,39 @@ class Ticker:
         blind = sensors.blind_text
         if blind != self._blind:
             self._blind = blind
-            self._lifecycle.log(f"scan: {blind or 'all sectors return something again'}", now)
+            self._log.blind_sectors(blind, now)
         if effects.is_new_scan and sensors.scan is not None:
             context = InputAges.context(sensors, now)
             protection.observe(sensors.scan, context)
             self._steering.observe(sensors.scan, context)
             if protection.events:
-                self._log_protection(now)  # type: ignore[attr-defined]  # of Robot
+                self._log.protection(protection.events, now)
             running = self._run.running
             asks: cython.bint = running is not None and running.needs_places
             if asks or sensors.kin is not None:
-                effects.kin_message = self._share(context, asks)  # type: ignore[attr-defined]  # of Robot
+                effects.kin_message = self._share(context, asks)
         return self._settled_after(effects)
+
+    @cython.cfunc
+    def _share(self, context: DecisionContext, asks: cython.bint) -> KinMessage | None:
+        """Name the tracks after a new scan; the message to peers that is due, or None.
+
+        `asks`: the running pattern needs the places of peers.
+        """
+        sensors = self._sensors
+        steering = self._steering
+        now = context.now
+        if asks:
+            InputAges.ask_kin(sensors, now)
+        sensors.end_kin(now)
+        kin = sensors.kin
+        scan = sensors.scan
+        steering.must_track = kin is not None
+        if kin is None or scan is None:
+            return None
+        tracks = steering.tracks(context) or ()
+        kin.observe(tracks, scan, now)
+        return kin.next_message(now, asks != 0)
 
     @cython.cfunc
     def _look_at_stamps(self, now: cython.double) -> None:
@@ -396,8 +436,7 @@ class Ticker:
         restarts: cython.Py_ssize_t = self._sensors.scan_delay.restarts
         if restarts != self._restarts:
             self._restarts = restarts
-            text = "stamps of odometry or scan jumped: the scan delay is measured anew"
-            self._events.log("stamps that jump", text, now)  # type: ignore[attr-defined]  # of Robot
+            self._log.stamps_jumped(now)
 
     @cython.ccall
     def _take_odometry(self, odometry: Odometry, now: cython.double) -> None:
@@ -409,10 +448,13 @@ class Ticker:
             protection.on_odometry(odometry)
             self._steering.on_odometry(odometry)
             if protection.events:
-                self._log_protection(now)  # type: ignore[attr-defined]  # of Robot
+                self._log.protection(protection.events, now)
             text = protection.not_following
-            if bool(text) != self._is_off_command:
-                self._log_following(text, now)  # type: ignore[attr-defined]  # of Robot
+            is_off_command: cython.bint = bool(text)
+            if is_off_command != self._is_off_command:
+                self._is_off_command = is_off_command
+                if is_off_command or self._machine.state is _RUNNING:
+                    self._log.following(text, now)
             blocked_bearing: cython.double = protection.following.blocked_bearing
             if not isnan(blocked_bearing):
                 sensors.on_blocked(blocked_bearing, now)
@@ -448,7 +490,7 @@ class Ticker:
             if steered is not None:
                 _check_steered(steered)
         except Exception as error:
-            self._log_steering(error, now)  # type: ignore[attr-defined]  # of Robot
+            self._log.steering_failed(error, now)
             steered = _stand
         decision = self._protection.decide(requested, context, is_running, hold, permit, steered)
         self.decided_at = now

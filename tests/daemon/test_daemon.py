@@ -48,7 +48,7 @@ from swarmd.driver_api.driver import Sink, TakeLate
 from swarmd.driver_api.hw_codec import encode_odometry, encode_scan
 from swarmd.drivers import simulated
 from swarmd.link.datagram import Stop, pack, tag_of
-from swarmd.link.peer import Peer, PeerActions, Summary
+from swarmd.link.peer import PeerActions, PeerProtocol, Summary
 from swarmd.robot.actions import Actions
 from swarmd.robot.robot import Robot
 from swarmd.settings.settings import DaemonSettings, load_daemon_settings
@@ -340,7 +340,7 @@ async def test_what_is_due_on_the_network_never_waits(
     counts: list[int] = []  # of looks by the one call below, and not by a tick after it
 
     def look() -> None:
-        peer = daemon._network._peer
+        peer = daemon._network._protocol
         assert peer is not None
         advance = peer.advance
 
@@ -639,7 +639,7 @@ async def test_a_daemon_stopped_while_joining_never_serves(
     daemon = Daemon(load_daemon_settings(None, slow), driver)
     claim, claimed = daemon._network._claim, list[str]()
 
-    async def stopped(peer: Peer) -> None:
+    async def stopped(peer: PeerProtocol) -> None:
         stop.set()
         claimed.append("begun")
         await claim(peer)

@@ -1,4 +1,6 @@
-"""The real `Robot`, `Peer` and `RequestServer` of several daemons in virtual time; no sockets.
+"""The real `Robot`, `PeerProtocol` and `RequestServer` of several daemons in virtual time.
+
+There are no sockets.
 
 `VirtualDaemon` is wired as `daemon/daemon.py` and `daemon/network.py`
 are: the order of calls, the files of latches and goals, the claim of the id and the latches of the
@@ -103,7 +105,7 @@ from swarmd.link.datagram import Ack, Address, Datagram, RunLease, Stop
 from swarmd.link.keys.key_permit import PresentRun
 from swarmd.link.keys.roster import KeyPermit, Role
 from swarmd.link.members.admission import Admission
-from swarmd.link.peer import Peer, PeerActions, PeerSettings, Summary
+from swarmd.link.peer import PeerActions, PeerProtocol, PeerSettings, Summary
 from swarmd.link.signature import Author
 from swarmd.link.spread.goal_sync import FoundGoal
 from swarmd.link.stops.stop_freshness import REPLAYED
@@ -533,7 +535,7 @@ class VirtualDaemon(Node):
             wall=lambda: swarm.wall + self.wall,
             clock=lambda: swarm.now,
         )
-        self.peer = Peer(
+        self.peer = PeerProtocol(
             PeerSettings(
                 robot=self.name,
                 instance=instance,

@@ -35,8 +35,8 @@ from swarmd.link.peer import (
     HeardLease,
     JudgeStop,
     MakeStatus,
-    Peer,
     PeerActions,
+    PeerProtocol,
     PeerSettings,
     StopVerdict,
     Summary,
@@ -55,7 +55,7 @@ TICK = 0.05
 class Robot:
     """A robot reduced to what its peer shows and does."""
 
-    peer: Peer
+    peer: PeerProtocol
     address: Address
     state: State = State.IDLE
     revision: int = 0
@@ -153,7 +153,7 @@ class VirtualNetwork:
     ) -> Robot:
         """A robot that starts; `key`: its name in this network, if an id is used twice."""
         self._lives += 1
-        peer = Peer(
+        peer = PeerProtocol(
             PeerSettings(
                 robot=name,
                 instance=self._lives.to_bytes(6, "big"),

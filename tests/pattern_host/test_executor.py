@@ -114,6 +114,29 @@ def test_a_scan_is_one_object_in_all_its_steps() -> None:
     assert [seen.index(one) for one in seen] == [0, 0, 2, 3, 4, 5]
 
 
+def test_scans_of_a_robot_share_what_derives_from_them_and_those_of_another_do_not() -> None:
+    lent: list[Any] = []
+
+    class Seer(Pattern[Params]):
+        needs = frozenset[str]()
+
+        def step(self, inputs: Inputs) -> Outputs:
+            for scan in (inputs.scan, inputs.ranges):
+                assert scan is not None
+                lent.append(scan.__dict__["layouts"])
+            return Outputs()
+
+    for robot in ("r1", "r2"):
+        executor = PatternExecutor(lambda name: Seer)
+        executor.handle(Load(1, "seer", (), robot, load_platform("burger"), 1))
+        for seq in (1, 2):
+            scans = [scan_of(load_platform("burger"), [], seq=seq) for _ in range(2)]
+            step = Step(1, Inputs(0.1 * seq, 0.1, scans[0], True, ranges=scans[1]))
+            assert isinstance(executor.handle(step), Stepped)
+    assert lent == [lent[0]] * 4 + [lent[4]] * 4
+    assert lent[0] is not lent[4]
+
+
 @pytest.mark.parametrize("outputs", [None, Twist(0.1), Outputs(twist=(0.1, 0.0))])  # type: ignore[arg-type]  # the mistake
 def test_a_step_that_gives_anything_but_outputs_is_a_fault(outputs: object) -> None:
     answer = step_giving(outputs, {})

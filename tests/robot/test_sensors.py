@@ -15,14 +15,11 @@ from swarmd.core.codec import Decoder, encode
 from swarmd.core.events import DriverInput, OdometryInput
 from swarmd.core.messages import Health, Reason, State
 from swarmd.core.values import ZERO, Neighbor, Odometry, Pose, Scan, Twist
+from swarmd.robot.inbox import MAX_INBOX_BYTES, MESSAGE_OVERHEAD
 from swarmd.robot.message_limits import EVENT_BURST
 from swarmd.robot.protection.compatibility import body_of
 from swarmd.robot.protection.settings import Mode
-from swarmd.robot.sensors import (
-    MAX_INBOX_BYTES,
-    MESSAGE_OVERHEAD,
-    Sensors,
-)
+from swarmd.robot.sensors import Sensors
 from swarmd.robot.timeouts import AGE_UPDATE_PERIOD, NEIGHBOR_TIMEOUT, ODOMETRY_TIMEOUT
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.scans import empty_scan
@@ -79,7 +76,7 @@ def test_messages_arrive_once_and_the_oldest_are_dropped(senses: Sensors) -> Non
     got = senses.inputs(0.75, 0.1).messages
     assert [message.channel for message in got] == [f"w{k}" for k in range(3, fit + 3)]
     assert {message.age for message in got} == {0.25}
-    assert senses.overflowed == 3
+    assert senses.inbox.overflowed == 3
     assert senses.inputs(0.75, 0.1).messages == ()
 
 

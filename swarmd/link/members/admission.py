@@ -126,7 +126,7 @@ class Admission:
             case Stop():
                 return body if _may_send_stop(body, author) else Flaw.FORGED
             case RunLease() | Drive():
-                # `Peer` judges the age of a lease, and `Hand` the order and age of a command.
+                # `PeerProtocol` judges the age of a lease, `Hand` order and age of a command.
                 return body if body.operator == author.name else Flaw.FORGED
             case Swarm() | StatusPart():
                 return Flaw.ROLE  # no role may sign these

@@ -49,7 +49,12 @@ cdef class ScanLayout:
 )
 cdef double _smallest(double[::1] values, Py_ssize_t n, Py_ssize_t k)
 
-@cython.locals(known=cython.const_double[::1], i=cython.Py_ssize_t, view=cython.const_double[::1])
 cdef layout_of(scan)
 
-cdef ScanLayout _new_layout(const double[::1] view)
+@cython.final
+@cython.auto_pickle(False)
+cdef class ScanLayouts:
+    @cython.locals(known=cython.const_double[::1], i=cython.Py_ssize_t, view=cython.const_double[::1])
+    cdef of(self, scan)
+
+    cdef ScanLayout _new_layout(self, const double[::1] view)

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 if cython.compiled:
     from cython.cimports.libc.string import memcmp
 
-_MAX_LAYOUTS = 8  # layouts that are kept
+_MAX_LAYOUTS = 2  # of a robot: of its lidar and of its ring
 _MAX_STEPS = 3.5  # between rays of one object
 
 
@@ -44,7 +44,10 @@ class ScanLayout:
     given: Doubles  # bearings
     angles: Array  # the array of `wrapped`
     wrapped: Doubles  # bearings within [-pi, pi)
-    scan: Scan | None  # the last one of these bearings, if nothing can change it
+    # The arrays of the last scan of these bearings, if nothing can change them. It is not the scan
+    # itself, which keeps the layouts alive.
+    given_ranges: Array | None
+    given_bearings: Array | None
     known: Doubles  # ranges of that scan
     # By rising bearing, see `set_grazing`.
     is_ordered: bool
@@ -180,52 +183,76 @@ def _smallest(values: Doubles, n: int, k: int) -> float:
     return values[k]
 
 
-# The layouts of the latest bearings, since most sensors keep theirs. All robots of a process share
-# them: patterns ask for features by a scan alone (`robot/sensing/rays.py`), so nothing of one robot
-# can hand them in. No result depends on what is kept here, of which a test asks in any order.
-_layouts: list[ScanLayout] = []
+@cython.cclass
+class ScanLayouts:
+    """The layouts of the latest bearings of one robot, since most sensors keep theirs.
+
+    Who hands scans to a pattern owns it (`PatternExecutor`), and lends it to each scan by `serve`.
+    A scan that comes from elsewhere has one of its own. No feature depends on what is kept here, of
+    which a test asks in any order.
+    """
+
+    _kept: list[ScanLayout]  # the newest first
+
+    def __init__(self) -> None:
+        self._kept = []
+
+    def serve(self, scan: Scan | None) -> None:
+        """Let the features of a scan use what was derived from the scans before it."""
+        if scan is not None:
+            scan.__dict__["layouts"] = self
+
+    def of(self, scan: Scan) -> ScanLayout | None:
+        """The layout of the known rays of a scan, with their ranges; None without any."""
+        layout: ScanLayout
+        given_ranges = scan.ranges
+        given_bearings = scan.bearings
+        for layout in self._kept:
+            if layout.given_ranges is given_ranges and layout.given_bearings is given_bearings:
+                return layout
+        ranges = np.ascontiguousarray(given_ranges, np.float64)
+        bearings = np.ascontiguousarray(given_bearings, np.float64)
+        if ranges.shape != bearings.shape or ranges.ndim != 1:
+            raise ValueError(
+                f"ranges {ranges.shape} and bearings {bearings.shape} of a scan; expected both (n,)"
+            )
+        known: Doubles = view_of(ranges)
+        for i in range(len(known)):
+            if isnan(known[i]):
+                is_known = ~np.isnan(ranges)
+                known = view_of(ranges[is_known])
+                bearings = bearings[is_known]
+                break
+        if not len(known):
+            return None
+        view: Doubles = view_of(bearings)
+        for layout in self._kept:
+            if layout.is_of(view):
+                break
+        else:
+            layout = self._new_layout(view)
+        is_fixed = not (given_ranges.flags.writeable or given_bearings.flags.writeable)
+        layout.given_ranges = given_ranges if is_fixed else None
+        layout.given_bearings = given_bearings if is_fixed else None
+        layout.known = known
+        return layout
+
+    def _new_layout(self, view: Doubles) -> ScanLayout:
+        """The layout of other bearings, in place of the oldest one."""
+        kept = self._kept
+        layout: ScanLayout = kept.pop() if len(kept) == _MAX_LAYOUTS else ScanLayout(len(view))
+        if layout.capacity < len(view):
+            layout = ScanLayout(len(view))
+        layout.set_bearings(view)
+        kept.insert(0, layout)
+        return layout
 
 
 def layout_of(scan: Scan) -> ScanLayout | None:
     """The layout of the known rays of a scan, with their ranges; None without any."""
-    layout: ScanLayout
-    for layout in _layouts:
-        if layout.scan is scan:
-            return layout
-    given_ranges = scan.ranges
-    given_bearings = scan.bearings
-    ranges = np.ascontiguousarray(given_ranges, np.float64)
-    bearings = np.ascontiguousarray(given_bearings, np.float64)
-    if ranges.shape != bearings.shape or ranges.ndim != 1:
-        raise ValueError(
-            f"ranges {ranges.shape} and bearings {bearings.shape} of a scan; expected both (n,)"
-        )
-    known: Doubles = view_of(ranges)
-    for i in range(len(known)):
-        if isnan(known[i]):
-            is_known = ~np.isnan(ranges)
-            known = view_of(ranges[is_known])
-            bearings = bearings[is_known]
-            break
-    if not len(known):
-        return None
-    view: Doubles = view_of(bearings)
-    for layout in _layouts:
-        if layout.is_of(view):
-            break
-    else:
-        layout = _new_layout(view)
-    is_fixed = not (given_ranges.flags.writeable or given_bearings.flags.writeable)
-    layout.scan = scan if is_fixed else None
-    layout.known = known
-    return layout
-
-
-def _new_layout(view: Doubles) -> ScanLayout:
-    """The layout of other bearings, in place of the oldest one."""
-    layout: ScanLayout = _layouts.pop() if len(_layouts) == _MAX_LAYOUTS else ScanLayout(len(view))
-    if layout.capacity < len(view):
-        layout = ScanLayout(len(view))
-    layout.set_bearings(view)
-    _layouts.insert(0, layout)
-    return layout
+    lent = scan.__dict__
+    layouts: ScanLayouts | None = lent.get("layouts")
+    if layouts is None:
+        layouts = ScanLayouts()
+        lent["layouts"] = layouts
+    return layouts.of(scan)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+import sys
 
 import numpy as np
 import pytest
 
 from swarmd.core.values import Array, Scan
-from swarmd.robot.sensing.scan_layout import ScanLayout
+from swarmd.robot.sensing.scan_layout import ScanLayout, ScanLayouts
 from tests.support.recorded_scans import KERNEL, SPECS, assert_same, recorded
 
 
@@ -62,13 +63,18 @@ def test_a_layout_takes_no_more_bearings_than_it_has_room_for() -> None:
         layout.set_bearings(np.zeros(4))
 
 
-def test_features_do_not_depend_on_the_scans_before() -> None:
-    """Robots share what is kept of the last bearings: another robot's scan must change nothing."""
+@pytest.mark.parametrize("is_served", [False, True])
+def test_features_do_not_depend_on_the_scans_before(is_served: bool) -> None:
+    """What is kept of the last bearings of a robot must change no feature of a later scan."""
     random = np.random.default_rng(5)
     scans: list[Scan] = []
     for n in (24, 360, 24, 90, 360, 91, 7, 180, 181, 182, 183, 184):
         bearings = np.sort(random.uniform(-math.pi, math.pi, n))
         scans.append(Scan(len(scans), 0.0, random.uniform(0.2, 4.0, n), bearings, 0.1, 3.5))
+
+    layouts = ScanLayouts()
+    for one in scans if is_served else ():
+        layouts.serve(one)
 
     def features(scan: Scan) -> tuple[object, ...]:
         return (
@@ -83,3 +89,27 @@ def test_features_do_not_depend_on_the_scans_before() -> None:
         for other in scans:
             KERNEL.clusters(other, 2.0, 0.06, 0.3)
         assert features(one) == wanted
+
+
+def test_robots_share_nothing_that_is_kept_of_scans() -> None:
+    ranges = np.ones(3)
+    one, other = (Scan(1, 0.0, ranges, np.arange(3.0), 0.1, 3.5) for _ in range(2))
+    layouts = ScanLayouts()
+    layouts.serve(one)
+    for scan in (one, other):
+        KERNEL.clusters(scan, 3.0, 0.06, 0.2)
+    assert one.__dict__ == {"layouts": layouts}
+    assert other.__dict__["layouts"] is not layouts
+
+
+def test_a_scan_is_freed_with_its_robot() -> None:
+    """The collector of garbage does not see a scan, so that a circle would stay for ever."""
+    layouts = ScanLayouts()
+    ranges = np.ones(3)
+    ranges.flags.writeable = False
+    scan = Scan(1, 0.0, ranges, ranges, 0.1, 3.5)
+    layouts.serve(scan)
+    KERNEL.clusters(scan, 3.0, 0.06, 0.2)
+    before = sys.getrefcount(layouts)
+    del scan
+    assert sys.getrefcount(layouts) == before - 1
