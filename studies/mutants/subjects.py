@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from os.path import normpath
 from pathlib import Path
 
 from msgspec import Struct
@@ -45,7 +44,7 @@ _FIRST: Mapping[str, tuple[str, ...]] = {
     "obstacles": ("test_footprint", "test_constraints"),
     "outline": ("test_footprint", "test_constraints"),
     "projection": ("test_projection",),
-    "protection": ("test_protection", "walls/test_standing_walls", "../test_range_ring"),
+    "protection": ("test_protection", "walls/test_standing_walls"),
     "set_down": ("test_set_down",),
     "settings": ("test_protection",),
     "stopping": ("test_stopping",),
@@ -70,14 +69,10 @@ def _protection() -> Iterator[Subject]:
         yield Subject(
             name="protection",
             paths=(path.relative_to(ROOT).as_posix(),),
-            tests=tuple(map(_test_file, first)),
-            more=tuple(map(_test_file, rest)),
+            tests=tuple(f"tests/robot/protection/{name}.py" for name in first),
+            more=tuple(f"tests/robot/protection/{name}.py" for name in rest),
             one_of=50,
         )
-
-
-def _test_file(name: str) -> str:
-    return normpath(f"tests/robot/protection/{name}.py")
 
 
 def subjects() -> Sequence[Subject]:
