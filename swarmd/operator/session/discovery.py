@@ -116,6 +116,7 @@ class Discovery:
         self._reports = MemberReports(is_local=is_local)  # what robots report of other robots
         self._statuses = StatusTable()
         self._status_parts = StatusParts()
+        self._linked: set[str] = set()  # the robots that answered on a link
         self._known_since: dict[str, float] = {}  # each robot heard or reported, and since when
         # When a robot last sent a member list, or was last named in a list or view. `_forget` drops
         # a robot that no list has named for long. A robot with the time inf is never forgotten.
@@ -218,6 +219,7 @@ class Discovery:
     def on_view(self, view: PeerView, now: float) -> None:
         """Take the answer of a robot: its status and its members."""
         self._take_answer(view.robot, StatusAnswer(view.status, view.members, now), now)
+        self._note_linked(view.robot)
         if len(self._roster) < MAX_MEMBERS:
             self._roster.update(name for name in view.roster if is_id(name))
         self._take_programs(view.status)
@@ -226,6 +228,7 @@ class Discovery:
     def on_header(self, header: StatusHeader, now: float) -> None:
         """Take the status of a robot of another version, as far as it can be read."""
         self._take_answer(header.robot, StatusAnswer(header, (), now), now)
+        self._note_linked(header.robot)
 
     def on_status_part(self, part: StatusPart, now: float) -> None:
         """Take a part of a robot's status; a part of an instance that has left is ignored.
@@ -243,6 +246,10 @@ class Discovery:
         self._take_answer(part.robot, StatusAnswer(status, (), now), now)
         if isinstance(status, Status):
             self._take_programs(status)
+
+    def _note_linked(self, robot: str) -> None:
+        if robot in self._statuses.robots:
+            self._linked.add(robot)
 
     def _take_programs(self, status: Status) -> None:
         if len(self._programs) < MAX_MEMBERS:
@@ -306,17 +313,25 @@ class Discovery:
 
     @property
     def answered(self) -> frozenset[str]:
-        """The robots that have answered: every living instance, if several hold one id."""
+        """The robots that have answered: every living instance, if several hold one id.
+
+        A status by datagram has no members: such a robot has answered once its list has come, too.
+        """
         answered = {
             robot
             for robot in self._statuses.robots
             if (answers := self._statuses.instances(robot))
             and self.holders(robot) <= answers.keys()
+            and self._has_told_members(robot)
         }
         if not self._needs_status:
             unanswered = self.heard - answered
             answered |= {robot for robot in unanswered if self._answered_by_datagram(robot)}
         return frozenset(answered)
+
+    def _has_told_members(self, robot: str) -> bool:
+        """True if a robot with a status has told which others it hears: on a link, or by list."""
+        return robot in self._linked or self._reports.has_full_list(robot)
 
     def _answered_by_datagram(self, robot: str) -> bool:
         """True if the robot has one living instance, which echoed a solicit and sent its list.
