@@ -468,9 +468,10 @@ class Pusher:
 
 
 def _joined(before: Outcome, after: Outcome) -> Outcome:
-    """The outcome after two pieces: a robot that refused the first keeps that reply."""
-    replies = {**before.replies, **after.replies}
+    """The outcome after two pieces: a refusal of the first stays; silence is no answer."""
     missing = tuple(sorted({*before.missing, *after.missing}))
+    known = {**before.replies, **after.replies}
+    replies = {robot: reply for robot, reply in known.items() if robot not in missing}
     seconds = before.seconds + after.seconds
     return with_fields(
         after,
