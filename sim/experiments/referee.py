@@ -240,7 +240,9 @@ def findings_of(found: Sequence[tuple[Case, Results]]) -> list[Finding]:
     ]
     bits = {(one.task, one.case): one.bits for one in made}
     return [
-        replace(one, verdict=SAME) if one.bits == bits.get((one.task, one.against)) else one
+        replace(one, verdict=SAME)
+        if one.runs and one.bits == bits.get((one.task, one.against))
+        else one
         for one in made
     ]
 
