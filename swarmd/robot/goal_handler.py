@@ -200,7 +200,14 @@ class GoalHandler:
         if ends_run_or_load:
             lifecycle.raise_revision(goal.text)  # earlier requests become stale
             text = f"by {goal.text}"
-            lifecycle.stop(Reason.SUPERSEDED, text, effects, keeps_load=loads_greater_goal)
+            lifecycle.stop(
+                Reason.SUPERSEDED,
+                text,
+                effects,
+                keeps_load=loads_greater_goal,
+                # A run of the goal waits beneath it; a goal to stand ends the hand.
+                keeps_hand=lifecycle.is_driven and goal.pattern is not None,
+            )
             goals.superseded = goal.text
         # A stopped, estopped or faulted robot without a run or load waits for an operator.
         waits_for_operator = not (was_idle or ends_run_or_load)

@@ -109,6 +109,7 @@ class Goals:
         # after a later load, run or label.
         self._awaits_code: int | None = None
         self._has_retried = False  # True if the robot has repeated a failed load
+        self._is_in_hand = False  # True while a hand drives the robot, or holds its run
         if self.own is not None:
             self._offer(record.ended, may_join=record.may_join)
 
@@ -148,13 +149,14 @@ class Goals:
 
     def record(self) -> GoalRecord:
         """The record for the disk."""
-        is_run = self.state in (GoalState.LOADING, GoalState.RUNNING)
+        # A run in a hand goes on by a word alone: no restart of the daemon stands for it.
+        is_run = self.state in (GoalState.LOADING, GoalState.RUNNING) and not self._is_in_hand
         return GoalRecord(
             held=None if self.held is None else self.held.goal,
             own=None if self.own is None else self.own.goal,
             before=self.before,
             ended=self._reason if self.state is GoalState.ENDED else "",
-            may_join=self._may_join or is_run,
+            may_join=is_run or (self._may_join and not self._is_in_hand),
             ran=is_run or (self._ended_during_run and self._may_join),
             stood=None if self._last_stop_at == -math.inf else self._last_stop_at,
             labels=self._set_labels,
@@ -423,8 +425,13 @@ class Goals:
         """True while the own goal has a lease, and the operator of the lease is heard."""
         return self.lease_until is not None and now < self.lease_until
 
+    def on_hand(self, *, is_there: bool) -> None:
+        """Note whether a hand drives the robot, or holds its run."""
+        self.is_changed |= is_there is not self._is_in_hand
+        self._is_in_hand = is_there
+
     def bar(self, now: float) -> None:
-        """After a stop or reset: join no goal that was set before `now`."""
+        """After a stop, a reset or the loss of a hand: join no goal that was set before `now`."""
         self._last_stop_at = now
         self._ended_during_run = False
         self.is_changed = True

@@ -154,7 +154,9 @@ class RequestHandler:
         # trial or reset that was requested after the first copy.
         is_obeyed_already = stop.is_copy or stop.issued.at <= self._obeyed_until
         self._obeyed_until = max(self._obeyed_until, stop.issued.at)
-        if next_wish is not None or not is_obeyed_already:
+        hand = lifecycle.pattern_run.hand
+        ends_hand = hand is not None and not stop.is_before(hand.wish)
+        if next_wish is not None or ends_hand or not is_obeyed_already:
             lifecycle.raise_revision(f"{request.operator} (stop)")
             lifecycle.stop(Reason.OPERATOR, f"by {request.operator}", effects)
         self._goals.on_stop(request, effects)
@@ -184,7 +186,8 @@ class RequestHandler:
         lifecycle = self._lifecycle
         running = self._lifecycle.pattern_run.running
         hand = self._lifecycle.pattern_run.hand
-        if hand is not None and not stop.is_before(hand.wish):
+        # A lost hand stays: it holds the next run, which moves by no late stop.
+        if hand is not None and hand.is_driving and not stop.is_before(hand.wish):
             lifecycle.raise_revision(f"{request.operator} (stop)")
             lifecycle.drop_hand(f"stopped by {request.operator}", effects)
         if running is not None and not stop.is_before(running.wish):
@@ -256,7 +259,7 @@ class RequestHandler:
         run = lifecycle.pattern_run
         assert run.running is not None
         lifecycle.raise_revision(f"{request.operator} (resume {run.running.pattern})")
-        run.hand = None
+        lifecycle.take_hand(None)
         lifecycle.applied(effects, request, f"{run.running.pattern} goes on")
 
     def on_drive(self, request: verbs.DriveRequest, effects: Effects) -> None:
@@ -275,7 +278,7 @@ class RequestHandler:
         else:
             lifecycle.raise_revision(f"{request.operator} (drive)")
             lifecycle.log(f"driven by {request.operator}", effects.now)
-            run.hand = Hand(request, wish, effects.now)
+            lifecycle.take_hand(Hand(request, wish, effects.now))
             waits = "" if run.running is None else f"{run.running.pattern} waits"
             remarks = (f"driven by {request.operator}", waits, lifecycle.base_fault)
             lifecycle.applied(effects, request, "; ".join(filter(None, remarks)))
@@ -297,7 +300,7 @@ class RequestHandler:
         else:
             lifecycle.raise_revision(f"{request.operator} (drive, released)")
             lifecycle.log(f"released by {request.operator}", effects.now)
-            run.hand = None
+            lifecycle.take_hand(None)
             is_on = run.running is not None
             state = lifecycle.state_machine.state
             what = f"{run.running.pattern} goes on" if is_on and run.running else str(state)
@@ -619,7 +622,8 @@ class RequestHandler:
         speed = running.permit.speed
         lifecycle.log(f"{request.pattern} reloaded, by {request.operator}", effects.now)
         detail = f"{request.pattern}, by {request.operator}"
-        lifecycle.stop(Reason.RELOADED, detail, effects)
+        # The new run waits beneath a hand, as the run before; a lost hand holds it.
+        lifecycle.stop(Reason.RELOADED, detail, effects, keeps_hand=request.is_rerun)
         run.awaiting_since = math.inf  # no answer to a step is awaited any more: the host ends
         if request.is_rerun:
             # `start_run` replies to the request later, when the new run begins or its load fails.

@@ -80,6 +80,7 @@ from swarmd.robot.timeouts import (
 if TYPE_CHECKING:
     from swarmd.core.events import DriveInput
     from swarmd.robot.effects import Effects
+    from swarmd.robot.hand import Hand
 
 
 MAX_TEXT = 300  # characters
@@ -280,7 +281,7 @@ class Lifecycle:
         effects.is_new_run = True
         hand = self.pattern_run.hand
         if hand is not None and loading.wish.at > hand.lost_at:
-            self.pattern_run.hand = None
+            self.take_hand(None)
         self.report = {}
         self.goals.on_running(
             loading.goal,
@@ -431,6 +432,7 @@ class Lifecycle:
         effects: Effects,
         *,
         keeps_load: bool = False,
+        keeps_hand: bool = False,
     ) -> None:
         """End the run and the load, if any, and fire a trigger; the run is not stepped any more.
 
@@ -453,7 +455,7 @@ class Lifecycle:
             self.params_request = None
             text = f"{reason} before the pattern answered"
             self.refuse(effects, request, Refusal.OVERTAKEN, text)
-        self._leave_state(trigger, reason, detail, effects)
+        self._leave_state(trigger, reason, detail, effects, keeps_hand=keeps_hand)
 
     def _end_run_and_load(self, reason: Reason, detail: str, effects: Effects) -> None:
         """End the run, and the load with its host; refuse the request that waits for the load."""
@@ -466,14 +468,25 @@ class Lifecycle:
                 self.refuse(effects, loading.request, Refusal.OVERTAKEN, text)
         self.pattern_run.end()
 
-    def _leave_state(self, trigger: Trigger, reason: Reason, detail: str, effects: Effects) -> None:
+    def _leave_state(
+        self,
+        trigger: Trigger,
+        reason: Reason,
+        detail: str,
+        effects: Effects,
+        *,
+        keeps_hand: bool,
+    ) -> None:
         """Change the state by `trigger`, and tell goals, log and shell of the end of the run."""
         self.hold_since = math.inf  # no hold: a hold is a reason for which a running robot stands
         state_before = self.state_machine.state
         was_running = self.is_running
         self.state_machine.apply(trigger, reason, shortened(detail, MAX_TEXT), effects.now)
         end_text = f"{self.state_machine.state} ({reason}) {detail}".rstrip()
-        self._end_hand(trigger, end_text, effects)
+        if reason is Reason.LEAVING:  # the record on disk goes on to know of the hand
+            self.pattern_run.hand = None
+        elif not keeps_hand:
+            self._end_hand(trigger, end_text, effects)
         if reason is not Reason.LEAVING:  # when the daemon ends, the robot keeps its goal
             self.goals.on_end(shortened(end_text, MAX_TEXT))
         if reason in _BARS_GOALS:  # the robot joins no goal that was set before now
@@ -501,13 +514,29 @@ class Lifecycle:
         hand = self.pattern_run.hand
         if hand is not None:
             self.log(f"no longer driven by {hand.driver}: {text}", effects.now)
-            self.pattern_run.hand = None
+            self.take_hand(None)
+
+    def take_hand(self, hand: Hand | None) -> None:
+        """Put the robot in a hand, in place of the one before; None: in no hand."""
+        self.pattern_run.hand = hand
+        self.goals.on_hand(is_there=hand is not None)
 
     def stop(
-        self, reason: Reason, detail: str, effects: Effects, *, keeps_load: bool = False
+        self,
+        reason: Reason,
+        detail: str,
+        effects: Effects,
+        *,
+        keeps_load: bool = False,
+        keeps_hand: bool = False,
     ) -> None:
-        """End the run; state stopped. `keeps_load`: the load of a requested run continues."""
-        self._end(Trigger.STOP, reason, detail, effects, keeps_load=keeps_load)
+        """End the run; state stopped. `keeps_load`: the load of a requested run continues.
+
+        `keeps_hand`: a hand stays, since another run takes the place of this run beneath it.
+        """
+        self._end(
+            Trigger.STOP, reason, detail, effects, keeps_load=keeps_load, keeps_hand=keeps_hand
+        )
 
     def reset(self, detail: str, effects: Effects) -> None:
         """Become idle; the caller has cleared the latches."""
@@ -742,9 +771,10 @@ class Lifecycle:
         hand.lose(effects.now)
         # Starts that were asked for before are stale: nothing late ends the hold.
         self.raise_revision(f"the loss of the hand of {hand.driver}")
+        self.goals.bar(effects.now)
         self.log(f"the hand of {hand.driver} {hand.lost_text}", effects.now)
         if run.running is None and run.loading is None:
-            run.hand = None
+            self.take_hand(None)
 
     def _advance_load(self, effects: Effects) -> None:
         """Begin the run of a loaded pattern at `start_at`; end a load that takes too long."""
@@ -831,13 +861,16 @@ def _end_for_low_battery(
     """End run and load. In place of the run, start the pattern of the setting `on_low_battery`.
 
     That pattern is not started if there was no run, or if the run had a lease: the operator of a
-    lease wants a robot that stands once the operator is not heard.
+    lease wants a robot that stands once the operator is not heard. Nor is it if the run waited
+    beneath a hand, or was held by a lost one.
     """
     ended_run = lifecycle.pattern_run.running
     had_lease = lifecycle.goals.lease_ends is not None
+    had_hand = lifecycle.pattern_run.hand is not None
     lifecycle.raise_revision("a low battery")
     lifecycle.stop(Reason.LOW_BATTERY, text, effects)
-    if ended_run is not None and settings.pattern is not None and not had_lease:
+    is_held = had_lease or had_hand
+    if ended_run is not None and settings.pattern is not None and not is_held:
         lifecycle.start_run(
             settings.pattern,
             settings.params,

@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from swarmd.core.events import DriveInput, HazardsInput, RequestInput
+from swarmd.core.events import DriveInput, HazardsInput, LeaveInput, ReadingsInput, RequestInput
 from swarmd.core.goal import Goal
 from swarmd.core.hazard import Hazard, HazardKind
+from swarmd.core.host_messages import StartTrial
+from swarmd.core.low_battery import LowBatterySettings
 from swarmd.core.messages import Code, Reason, State
 from swarmd.core.refusal import Refusal
 from swarmd.core.values import Scan, Twist
@@ -246,6 +248,92 @@ def test_a_run_that_loads_when_the_hand_is_lost_is_held() -> None:
     assert harness.status.reason is Reason.HAND_LOST
 
 
+def of_peers(id: str = "later") -> Goal:
+    """A goal that a robot joins."""
+    return Goal(generation=9, issuer="bob", id=id, pattern=RUN, on_join="run", valid=60.0)
+
+
+@pytest.mark.parametrize("begin", [standing, running])
+def test_a_goal_that_was_set_before_the_loss_ends_no_hold(
+    begin: Callable[[], tuple[RobotHarness, HandOn]],
+) -> None:
+    harness, hand = begin()
+    hand.take()
+    hand.drive(0.5)
+    harness.advance(3.0)
+    harness.find(of_peers(), 4.0)
+    assert still(harness, 1.0)
+
+
+def test_a_goal_that_is_set_meanwhile_waits_too() -> None:
+    harness, hand = driven()
+    harness.find(of_peers(), 0.1)
+    hand.drive(0.5, BACK)
+    assert (harness.twist, harness.status.driven_by) == (BACK, "anna")
+    hand.release()
+    assert harness.twist == Twist(0.2)
+
+
+def test_a_reload_with_a_new_run_leaves_the_run_beneath_the_hand() -> None:
+    harness, hand = driven()
+    harness.applied("reload", pattern=RUN, is_rerun=True, operator="bob")
+    hand.drive(0.5, BACK)
+    assert (harness.twist, harness.status.driven_by) == (BACK, "anna")
+
+
+def test_a_reload_that_was_asked_for_before_the_loss_ends_no_hold() -> None:
+    harness, _ = driven()
+    harness.is_hung = True
+    harness.ask("reload", pattern=RUN, is_rerun=True)
+    harness.is_hung = False
+    trial = next(one for one in harness.sent if isinstance(one, StartTrial))
+    harness.advance(1.0)
+    harness.host_answers(trial)
+    assert still(harness, 1.0)
+    assert harness.status.reason is Reason.HAND_LOST
+
+
+@pytest.mark.parametrize("is_heard", [True, False])
+def test_no_pattern_of_a_low_battery_follows_a_run_beneath_a_hand(is_heard: bool) -> None:
+    settings = LowBatterySettings(below=0.2, pattern=RUN, params={}, seconds=60.0)
+    harness = RobotHarness("waffle_pi", PATTERNS, on_low_battery=settings)
+    harness.advance(1.0)
+    harness.applied("run", pattern=RUN)
+    harness.advance(0.5)
+    hand = HandOn(harness)
+    hand.take()
+    hand.drive(0.5)
+    harness.advance(0.0 if is_heard else 1.0)
+    for _ in range(80):
+        harness.step(ReadingsInput({"battery": 0.1}))
+        if is_heard:
+            hand.word()
+        harness.advance(0.5)
+    assert (harness.status.state, harness.status.reason) == (State.STOPPED, Reason.LOW_BATTERY)
+    assert still(harness, 1.0)
+
+
+@pytest.mark.parametrize("leaves", [True, False])
+@pytest.mark.parametrize("last", ["heard", "lost", "released"])
+def test_after_a_restart_of_the_daemon_only_a_released_run_goes_on(last: str, leaves: bool) -> None:
+    harness, hand = standing()
+    harness.find(of_peers(), 1.0)
+    harness.advance(0.5)
+    hand.take()
+    hand.drive(0.5, BACK)
+    if last == "released":
+        hand.release()
+    harness.advance(1.0 if last == "lost" else 0.1)
+    if leaves:
+        harness.step(LeaveInput())
+        assert harness.twist.is_zero
+    again = RobotHarness("waffle_pi", PATTERNS, goals=harness.record, instance="boot2")
+    again.advance(1.0)
+    again.find(of_peers(), 5.0)
+    again.advance(0.5)
+    assert (again.twist == Twist(0.2)) is (last == "released")
+
+
 # Stops
 
 
@@ -320,6 +408,30 @@ def test_a_stop_between_hand_and_run_ends_the_hand() -> None:
     assert harness.answer(stop).refusal is Refusal.OVERTAKEN
     assert harness.status.driven_by == ""
     assert harness.twist == Twist(0.2)
+
+
+def test_a_late_stop_does_not_end_the_hold_of_a_lost_hand() -> None:
+    """The run was asked for after the stop, and is held by a hand that was lost after both."""
+    harness, hand = standing()
+    hand.take()
+    hand.drive(2.0, BACK)
+    harness.applied("run", pattern=RUN)
+    harness.advance(1.0)
+    assert harness.refused("stop", age=2.0).refusal is Refusal.OVERTAKEN
+    assert still(harness, 1.0)
+    assert harness.status.reason is Reason.HAND_LOST
+
+
+def test_a_stop_that_a_reset_has_overtaken_ends_the_hand() -> None:
+    """The reset leaves the hand of an idle robot; the first copies of the stop got lost."""
+    harness, hand = standing()
+    hand.take()
+    hand.drive(1.0)
+    harness.applied("reset", operator="bob")
+    hand.drive(0.1)
+    harness.applied("stop", age=0.3)
+    hand.drive(0.5)
+    assert (harness.twist.is_zero, harness.status.driven_by) == (True, "")
 
 
 # Others, and what is late
