@@ -196,6 +196,14 @@ def test_a_block_that_raises_releases_nothing() -> None:
     assert len(operator.requests) == 1
 
 
+def test_a_hand_is_over_when_the_daemon_of_the_robot_has_started_again() -> None:
+    operator = FakeOperator()
+    hand = taken(operator)
+    told(operator, driven_by="", epoch=Epoch("ba9876543210", 0))  # it counts from 0 again
+    assert hand.is_over
+    hand.close()
+
+
 def test_a_hand_that_the_robot_has_ended_says_why_and_moves_nothing() -> None:
     operator = FakeOperator()
     hand = taken(operator)

@@ -25,7 +25,7 @@ from swarmd.core.clock import boottime
 from swarmd.core.closing import Closing, is_program_on
 from swarmd.core.codec import Decoder
 from swarmd.core.errors import CodecError, ConfigError, RequestError, SwarmError
-from swarmd.core.messages import Status
+from swarmd.core.messages import Epoch, Status
 from swarmd.core.values import ZERO, Twist
 from swarmd.core.verbs import DriveRequest
 from swarmd.link.datagram import Drive
@@ -132,12 +132,12 @@ class Hand(Closing):
         self._changed = threading.Condition()
         self._is_closed = False
         self._over = ""
-        self._revision = -1  # of the robot when it was taken
+        self._epoch: Epoch | None = None  # of the robot when it was taken
         self._thread = threading.Thread(target=self._tell, name="swarmd-hand", daemon=True)
 
-    def start(self, revision: int) -> Self:
-        """Begin to tell commands; `revision`: the count of changes when the robot was taken."""
-        self._revision = revision
+    def start(self, epoch: Epoch | None) -> Self:
+        """Begin to tell commands; `epoch`: that of the robot when it was taken."""
+        self._epoch = epoch
         self._operator.watch("status", self._on_status, self.robot)
         self._thread.start()
         return self
@@ -266,7 +266,12 @@ class Hand(Closing):
             status = _status(payload)
         except CodecError:
             return
-        if status.robot != self.robot or status.epoch.revision < self._revision:
+        if status.robot != self.robot:
+            return
+        # After a restart of the daemon another instance counts its changes anew.
+        taken = self._epoch
+        is_same = taken is not None and status.epoch.instance == taken.instance
+        if taken is not None and is_same and status.epoch.revision < taken.revision:
             return
         self.status = status
         if status.driven_by == self._operator.name[:128]:
@@ -300,7 +305,7 @@ def take(
     if reply is None or not outcome.applied:
         raise RequestError(f"{robot}: {_answer(outcome, robot)}", outcome.exit_code or REFUSED)
     hand = Hand(operator, robot, reply.id, is_wanted=is_wanted)
-    return hand.start(-1 if reply.epoch is None else reply.epoch.revision)
+    return hand.start(reply.epoch)
 
 
 def _answer(outcome: Outcome, robot: str) -> str:
