@@ -459,7 +459,8 @@ class RequestHandler:
         """Why a reset that ends `findings` is refused before it changes anything, else None."""
         if self._lifecycle.duplicate is not None:
             return Refusal.DUPLICATE_ID, f"this id is still held by {self._lifecycle.duplicate}"
-        if findings and self._lifecycle.is_running:
+        lifecycle = self._lifecycle
+        if findings and (lifecycle.is_running or lifecycle.is_driven):
             text = f"{self._robot} runs; stop it before a finding of its monitor is ended"
             return Refusal.BUSY, text
         return None

@@ -494,9 +494,7 @@ def test_another_operator_of_a_removed_generation_stops_for_ten_minutes_and_asks
 
 @pytest.mark.long
 def test_fifty_robots_meet_with_few_questions(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(
-        "swarmd.link.members.beacon_times.CLAIM_PERIOD", 0.5
-    )  # claims are not the matter here
+    monkeypatch.setattr("swarmd.link.peer.CLAIM_PERIOD", 0.5)  # claims are not the matter here
     count = 50
     names = tuple(f"r{number}" for number in range(1, count + 1))
     network = VirtualNetwork(count, keyring=Keyring(names, operators=("anna",)), joined=False)

@@ -154,6 +154,9 @@ class Table:
     digest: str = "now"
     sources: tuple[Path, ...] = ()
 
+    def lacks(self) -> str:
+        return ""
+
 
 def made(digest: str = "then", **more: object) -> Made:
     known = Made(table="drive", made_with={"digest": digest, "commit": "c0", "day": "2026-11-29"})

@@ -251,8 +251,9 @@ class ScanLayouts:
 def layout_of(scan: Scan) -> ScanLayout | None:
     """The layout of the known rays of a scan, with their ranges; None without any."""
     lent = scan.__dict__
-    layouts: ScanLayouts | None = lent.get("layouts")
-    if layouts is None:
-        layouts = ScanLayouts()
-        lent["layouts"] = layouts
+    kept = lent.get("layouts")
+    if not isinstance(kept, ScanLayouts):  # none, or of the other form of this module
+        kept = ScanLayouts()
+        lent["layouts"] = kept
+    layouts: ScanLayouts = kept
     return layouts.of(scan)

@@ -126,7 +126,7 @@ def test_the_example_of_each_verb_is_a_line_that_the_verb_takes(
         Path(file).touch()
     given = examples()
     assert {name for name, (_, words) in given.items() if " ".join(words[:2]) != name} == set()
-    assert len(given) == 38
+    assert len(given) == 39
     for name, (command, words) in given.items():
         command.make_context(name, words[2:])
 

@@ -179,7 +179,9 @@ def test_lost_and_late_datagrams_cost_time_and_no_status(seed: int) -> None:
     look = Look(network)
     look.run()
     assert {name: look.status(name) for name in network.statuses} == network.statuses
-    assert len(look.dialled) <= 5  # one of an earlier version, and those whose parts or list were lost
+    assert (
+        len(look.dialled) <= 5
+    )  # one of an earlier version, and those whose parts or list were lost
 
 
 def test_a_silent_robot_is_no_answer_by_its_beacon() -> None:
