@@ -6,11 +6,16 @@ from collections.abc import Iterable
 
 from msgspec import Struct
 
+from swarmd.core.bounds import keep_newest
+from swarmd.link.members.membership import MAX_MEMBERS
+
 QUIET_TIME = 0.1  # s that an answer takes at most beyond the round trip
 MAX_ECHOES = 256
 MAX_ROUND_TRIP = 5.0  # s: bound of the round trip
 FEW_ROBOTS = 8  # up to this number the longest round trip counts, beyond it the median
 ROUNDING_MS = 0.5  # by which a clock in whole ms may be too great
+MOST_INSTANCES = 2 * MAX_MEMBERS
+"""Instances of which a look keeps a value: forged beacons may name any number."""
 LEAST_ASKED = 4  # solicits to an instance from which on its loss is measured
 
 
@@ -48,14 +53,16 @@ class RoundTrips:
         `echo`: the number of the solicit that it answers, or 0. `clock_ms`: the clock of the
         instance when it sent the answer, rounded to ms; 0 if the beacon does not show it.
         """
-        known = self._answers.setdefault((robot, instance), _Answers(self.solicits))
+        known = self._answers.get((robot, instance))
+        if known is None:
+            known = _Answers(self.solicits)
+            keep_newest(self._answers, (robot, instance), known, MOST_INSTANCES)
         sent = self._sent.get(echo)
         if sent is not None and clock_ms:
             # The way of the answer took some time, by which the true lead is greater.
             lead = (clock_ms - ROUNDING_MS) / 1000.0 - now
-            self.clock_leads[robot, instance] = max(
-                lead, self.clock_leads.get((robot, instance), lead)
-            )
+            lead = max(lead, self.clock_leads.get((robot, instance), lead))
+            keep_newest(self.clock_leads, (robot, instance), lead, MOST_INSTANCES)
         if sent is not None and echo not in known.echoes:
             known.echoes.add(echo)
             trip = max(now - sent, 0.0)

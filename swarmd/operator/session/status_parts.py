@@ -11,10 +11,12 @@ from __future__ import annotations
 from functools import cache
 
 from swarmd.core import codec
+from swarmd.core.bounds import keep_newest
 from swarmd.core.codec import Decoder, version_of
 from swarmd.core.messages import Status, StatusHeader
 from swarmd.link.datagram import Beacon, StatusPart
 from swarmd.link.members.membership import MAX_INSTANCES, MAX_MEMBERS
+from swarmd.operator.session.round_trips import MOST_INSTANCES
 
 # How long a look waits for the datagrams of a status before it dials the robot: s, and round trips.
 PARTS_WAIT = 0.3
@@ -35,7 +37,7 @@ class StatusParts:
         self._asked_at: dict[Instance, float] = {}
         # By robot and instance: the parts of the answer to the last solicit that it answered.
         self._parts: dict[str, dict[str, dict[int, StatusPart]]] = {}
-        self.refusing: set[Instance] = set()
+        self.refusing: dict[Instance, None] = {}
         """The instances whose last answer announced no parts: they are asked on a link."""
 
     @property
@@ -52,7 +54,7 @@ class StatusParts:
         period = max(ASK_PERIOD, ASK_TRIPS * round_trip)
         if instance in self.refusing or now - self._asked_at.get(instance, now - period) < period:
             return False
-        self._asked_at[instance] = now
+        keep_newest(self._asked_at, instance, now, MOST_INSTANCES)
         return True
 
     def on_beacon(self, beacon: Beacon, now: float) -> None:
@@ -60,11 +62,12 @@ class StatusParts:
         if beacon.echo not in self._asked:
             return
         instance = (beacon.robot, beacon.instance.hex())
-        self._asked_at.setdefault(instance, now)
+        if instance not in self._asked_at:
+            keep_newest(self._asked_at, instance, now, MOST_INSTANCES)
         if beacon.status_parts:
-            self.refusing.discard(instance)
+            self.refusing.pop(instance, None)
         else:
-            self.refusing.add(instance)
+            keep_newest(self.refusing, instance, None, MOST_INSTANCES)
 
     def add(self, part: StatusPart) -> bytes | None:
         """Keep a part; the encoded status once all parts of one answer have come.

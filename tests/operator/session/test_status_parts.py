@@ -27,6 +27,7 @@ from swarmd.operator.session.arrivals import SOLICIT_PACE, Arrivals, RepeatTimer
 from swarmd.operator.session.discovery import Discovery
 from swarmd.operator.session.members_view import Contact
 from swarmd.operator.session.operator_datagrams import OperatorDatagrams
+from swarmd.operator.session.round_trips import RoundTrips
 from swarmd.operator.session.status_parts import PARTS_WAIT, StatusParts, decode_status
 from tests.link.keyring import Keyring
 from tests.link.virtual_network import TAG, TICK, VirtualNetwork
@@ -292,7 +293,7 @@ def test_an_answer_without_parts_is_dialled_and_not_asked_again(parts: StatusPar
     parts.on_beacon(heard("a", 0, echo=0), 0.0)  # a beacon to all announces nothing
     assert not parts.refusing
     parts.on_beacon(heard("a", 0), 0.0)
-    assert parts.refusing == {one}
+    assert [*parts.refusing] == [one]
     assert not parts.is_ask_due(one, 5.0, 0.0)
 
 
@@ -336,3 +337,21 @@ def test_bytes_that_are_no_status_are_refused() -> None:
     for content in (b"", b"\1", b"\1\xff", b"\7", CONTENT[:-1]):
         with pytest.raises(CodecError):
             decode_status(content)
+
+
+def test_forged_lives_of_a_robot_leave_bounded_tables() -> None:
+    """20,000 lives of one robot answer one solicit; a look keeps the newest 2,048."""
+    parts = StatusParts()
+    trips = RoundTrips()
+    parts.on_asked(1)
+    trips.on_solicit(1, 0.0)
+    for number in range(20_000):
+        life = number.to_bytes(6, "big")
+        beacon = replace(heard("r1", 0), instance=life)
+        parts.on_beacon(beacon, 0.1)
+        trips.on_echo("r1", life.hex(), 1, 0.1, clock_ms=100)
+    newest = ("r1", (19_999).to_bytes(6, "big").hex())
+    assert len(parts.refusing) == len(trips.clock_leads) == 2 * 1024
+    assert newest in parts.refusing
+    assert trips.has_answered(*newest)
+    assert not trips.has_answered("r1", bytes(6).hex())
