@@ -10,6 +10,7 @@ from typing import Any, Literal
 import pytest
 
 from swarmd.core.codec import Decoder, encode
+from swarmd.core.errors import RequestError
 from swarmd.core.goal import Goal
 from swarmd.core.messages import Code, Reply, State
 from swarmd.core.refusal import Refusal
@@ -18,6 +19,7 @@ from swarmd.core.verbs import (
     AnyRequest,
     AuditQuery,
     AuditReply,
+    DriveRequest,
     GoalRequest,
     MarkRequest,
     ParamRequest,
@@ -27,6 +29,7 @@ from swarmd.core.verbs import (
 )
 from swarmd.link.keys.roster import KeyPermit
 from swarmd.operator.session.operator import Operator
+from swarmd.operator.verbs.drive.ask import Hand, take
 from tests.support.processes import wait_until
 from tests.support.secured_swarm import RUNNING, SecuredSwarm
 from tests.support.swarmctl import STALLED
@@ -42,6 +45,7 @@ def permit(*may: str, **fields: Any) -> KeyPermit:
 
 PERMITS = {
     "agent": permit("stop"),
+    "driver": permit("stop r1", "drive", robots="r1", speed=0.04),
     "pupil": permit("stop r1", "run drive", "param drive.speed", robots="r1", longest=60.0),
 }
 
@@ -146,6 +150,38 @@ def test_a_pupil_runs_and_stops_her_own_robot_alone(calm: SecuredSwarm) -> None:
         assert "may stop r1" in stopped["r2"].text
         assert calm.status("r1").state is State.STOPPED
         assert [held_goal(calm, robot) for robot in RUNNING] == before
+
+
+def test_a_permit_to_drive_asks_its_own_robot_for_its_speed_at_most(calm: SecuredSwarm) -> None:
+    """By signed commands; a stop ends the hand. These robots have no lidar, so none moves."""
+    with calm.operator("driver") as driver, contextlib.ExitStack() as left:
+        hands: list[Hand] = []
+        asked: list[float] = []
+
+        def is_driven() -> bool:
+            """A busy machine may refuse a late request, or lose a hand."""
+            if not hands or hands[-1].is_over:
+                with contextlib.suppress(RequestError):
+                    hands.append(left.enter_context(contextlib.closing(take_r1(driver))))
+                return False
+            hands[-1].move(0.2, seconds=2.0)
+            status = calm.status("r1")
+            asked[:] = [status.decision.requested_linear]
+            return status.driven_by == "driver" and status.decision.requested_linear > 0.0
+
+        def take_r1(operator: Operator) -> Hand:
+            return take(operator, operator.members(), "r1")
+
+        wait_until(is_driven, "a hand moves r1")
+        assert asked == [pytest.approx(0.04)]
+        denied = replies(driver, DriveRequest, "r2")["r2"]
+        assert is_denied(denied)
+        stop_replies(driver, "stop")
+        wait_until(lambda: hands[-1].is_over, "the hand hears that it is over")
+        wait_until(lambda: calm.status("r1").driven_by == "", "r1 is driven by nobody")
+        hands[-1].close()
+        stands = lambda: calm.status("r1").decision.requested_linear == 0.0  # noqa: E731
+        wait_until(stands, "nothing is asked of r1")
 
 
 def test_the_audit_log_names_the_permit(calm: SecuredSwarm) -> None:
