@@ -745,12 +745,16 @@ class Constraints:
     def _add_corners(self, first: int, begin: int) -> None:
         """Add a constraint for each pair of a near point and a corner of the outline.
 
-        An obstacle may extend beyond the part that the scan shows (`unseen_extent`). So a corner
-        that swings past the point may touch the obstacle. `_is_near_corners` tells which points
-        are near.
+        The constraint limits the speed at which the corner closes on the point, by the linear and
+        the angular speed together, to `closing_cap` of the distance from the corner to the point
+        less the free distance (`wall_cap` for a wall that stands). An obstacle may extend beyond
+        the part that the scan shows (`unseen_extent`), so a corner that swings past the point may
+        touch the obstacle. `_is_near_corners` tells by the gap of the outline which points are
+        near. `_add_corner` leaves out pairs that no command within the limits can violate.
 
         `first`: the index in `placed` of the chunk's first point. `begin`: the index in the chunk
-        of the first point to which constraints are added.
+        of the first point to which constraints are added: contacts, before it, have constraints
+        that forbid all motion towards them.
         """
         chunk: Chunk = self._chunk
         outline: Outline = self._outline
