@@ -230,6 +230,12 @@ def test_a_touch_zone_limits_its_corners_in_the_direction_of_motion(
     assert list(rows.cap)[:2] == [0.05, 0.05]
 
 
+def test_without_walls_that_stand_nothing_is_known_of_any_return() -> None:
+    barrier = Barrier(WAFFLE)
+    decided_by(barrier, WAFFLE, [(0, 3, 0.5)], Twist(TOP), 0.0)
+    assert barrier.kinds() == [0] * 360
+
+
 def test_counts_from_another_memory_are_refused() -> None:
     """Those of a new mode are right."""
     constraints = Barrier(WAFFLE)._feasible.constraints
