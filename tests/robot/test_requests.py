@@ -858,13 +858,19 @@ def test_reset_of_an_emergency_stop_ends_the_findings_that_it_names() -> None:
     assert not harness.status.findings
 
 
-def test_findings_of_a_running_robot_are_not_ended() -> None:
+@pytest.mark.parametrize(
+    ("verb", "fields", "state"),
+    [("run", {"pattern": "forward"}, State.RUNNING), ("drive", {"operator": "anna"}, State.IDLE)],
+)
+def test_findings_of_a_robot_that_runs_or_is_driven_are_not_ended(
+    verb: str, fields: dict[str, Any], state: State
+) -> None:
     harness = slowed()
-    harness.applied("run", pattern="forward")
+    harness.applied(verb, **fields)
     refused = harness.refused("reset", findings=(FOUND,))
     assert refused.refusal is Refusal.BUSY
     harness.advance(0.1)
-    assert (harness.status.state, harness.status.findings) == (State.RUNNING, (FOUND,))
+    assert (harness.status.state, harness.status.findings) == (state, (FOUND,))
     assert harness.status.decision.speed_share == 0.56
 
 
