@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
@@ -15,10 +15,10 @@ from swarmd.core.errors import ConfigError, ForkedError, RequestError, SwarmErro
 from swarmd.core.numbers import python_value
 from swarmd.operator.client.loop_life import LoopLife
 from swarmd.operator.client.members import Description, Members
-from swarmd.operator.client.states import Pose, RobotState, follow_states, read_poses
 from swarmd.operator.session.arguments import Words, check_time, check_words, plain_params
 from swarmd.operator.session.exit_codes import NO_TARGET, TIMEOUT
 from swarmd.operator.session.session import Session
+from swarmd.operator.session.states import Pose, RobotState, follow_states, read_poses
 from swarmd.operator.session.targets import Targets, make_targets, no_target, robots_of
 
 if TYPE_CHECKING:
@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from swarmd.operator.session.outcome import Outcome
     from swarmd.operator.texts.assignments import Value
     from swarmd.operator.texts.goal import Difference
+    from swarmd.operator.verbs.acceptance.ask import Accepted
+    from swarmd.operator.verbs.acceptance.talk import Question
     from swarmd.operator.verbs.drive.ask import Hand
     from swarmd.operator.verbs.incidents.ask import Incidents, MarkOutcome
     from swarmd.operator.verbs.push.ask import PushOutcome
@@ -304,8 +306,12 @@ class Swarm(Closing):
         """
         if (own := LoopLife.of_caller()) is not None:
             return opened.enter_context(own)
-        of_connection = self._pool.life
-        return None if of_connection is None or of_connection.is_over else of_connection
+        return self._life_of_connection()
+
+    def _life_of_connection(self) -> LoopLife | None:
+        """The loop on which the connection was opened; None without one, or once it is over."""
+        life = self._pool.life
+        return None if life is None or life.is_over else life
 
     def drive(self, robot: str, *, timeout: float | None = None) -> Hand:
         """Take one robot by hand: a run beneath waits, and goes on when the hand releases it.
@@ -491,6 +497,53 @@ class Swarm(Closing):
         with self._session(timeout, is_request=True) as session:
             return push_to(push, session.target(targets, needs_status=False), targets)
 
+    def acceptance(
+        self,
+        robot: str,
+        rows: Words | None = None,
+        *,
+        answer: Callable[[Question], str],
+        folder: str | Path | None = None,
+        timeout: float | None = None,
+    ) -> Accepted:
+        """Carry out rows of the acceptance test on one robot, with the answers of a person.
+
+        `rows`: a part or step, such as "A" or "B1", or several; None: all. `answer` gets each
+        `Question` and returns what the person says: `y`, `n`, `q`, or the number of a step. Show
+        the person `question.text`: it says what to prepare and what moves, how far, how fast and
+        for how long. A robot moves only after a `y` to the question of this motion, as with
+        `swarmctl acceptance`; a `y` within 0.7 s does not count. Ctrl-C, an error of `answer`, and
+        a stop from anywhere end the motion. `folder`: where the results gather, by default
+        acceptance-ROBOT; a test in it goes on. `timeout`: for the first answer of the robot.
+
+        The result has the `verdicts` by step, `record` and `file`. Raises ConfigError for a row
+        that is no step, for an answer that is no text, and for a folder with the results of another
+        robot; RequestError if the robot is not known or does not answer.
+        """
+        from swarmd.operator.verbs.acceptance.ask import accept_by, status_of
+
+        if not isinstance(robot, str) or not robot:
+            raise ConfigError(f"robot is {robot!r}; expected the name of a robot")
+        if not callable(answer):
+            raise ConfigError(f"answer is {answer!r}; expected a function of a question")
+        if folder is not None and not isinstance(folder, str | Path):
+            raise ConfigError(f"folder is {folder!r}; expected a path")
+        words = () if rows is None else check_words(rows, "rows")
+        if rows is not None and not words:
+            raise ConfigError("the list of rows is empty; expected such as 'B1', or None for all")
+        with self._session(timeout) as session:
+            status_of(session, robot)
+            is_cancelled = session.is_cancelled
+        return accept_by(
+            answer,
+            self._sessions,
+            robot,
+            words,
+            Path(f"acceptance-{robot}" if folder is None else folder),
+            is_cancelled=is_cancelled,
+            tell=self._tell,
+        )
+
     def resume(
         self,
         robots: Words | None = None,
@@ -587,9 +640,26 @@ class Swarm(Closing):
             places=self._places,
             cancelled=cancelled,
         )
-        one._parents = (self._cancelled,)
+        one._parents = (self._cancelled, *self._parents)
         one._began = boottime() if began is None else began
         return one
+
+    def _sessions(
+        self,
+        *,
+        cancelled: threading.Event | None = None,
+        began: float | None = None,
+        is_stop: bool = False,
+    ) -> AbstractContextManager[Session]:
+        """A session of a call that opens several, without lines for the user.
+
+        See `Sessions` of `swarmd/operator/verbs/acceptance/tested_robot.py`. It is cancelled with
+        the call, unless it `is_stop`.
+        """
+        one = Swarm(self._pool_of_parent, cancelled=cancelled)
+        one._parents = () if is_stop else (self._cancelled, *self._parents)
+        one._began = began
+        return one._session(None, is_stop=is_stop, life=self._life_of_connection())
 
     @contextmanager
     def _session(

@@ -21,7 +21,7 @@ from click.testing import CliRunner
 from swarmd.core.clock import boottime
 from swarmd.core.messages import State
 from swarmd.operator.cli.swarmctl import cli
-from swarmd.operator.client.input_watch import MAX_GAP
+from swarmd.operator.session.input_watch import MAX_GAP
 from swarmd.operator.view.source import CommandProgress
 from swarmd.operator.view.terminal_view import HELP, answer_lines
 from tests.support.processes import CAP, stop_process, wait_until

@@ -1,4 +1,4 @@
-"""The robot of an acceptance test, over the client: sights, runs, stops, recordings, findings."""
+"""The robot of an acceptance test, over the network: sights, runs, stops, recordings, findings."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ import queue
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, ExitStack, suppress
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
 from swarmd.core.errors import SwarmError
 from swarmd.core.finding import Finding, unknown
-from swarmd.core.messages import Presence, Reason, State, Status
+from swarmd.core.messages import Reason, State, Status
 from swarmd.core.values import Platform, Pose
 from swarmd.core.verbs import RecordingFile, RecordRequest
 from swarmd.daemon.recording.fetch import Ask, fetch, recordings_of
@@ -32,19 +32,17 @@ from swarmd.operator.acceptance.stops import LEASE
 from swarmd.operator.acceptance.verdict import Verdict, not_shown
 from swarmd.operator.calibration.figures import PATTERN
 from swarmd.operator.calibration.report import measured_file
-from swarmd.operator.cli.doctor import LISTEN_TIME, findings_of_robot
-from swarmd.operator.cli.options import CommonOptions, Failure
-from swarmd.operator.cli.send import known_members
-from swarmd.operator.client.operator_pool import OperatorPool
-from swarmd.operator.client.swarm import Swarm
 from swarmd.operator.session.ask_robots import ASK_TIME
-from swarmd.operator.session.exit_codes import TIMEOUT
-from swarmd.operator.session.session import Session
-from swarmd.operator.session.targets import Targets, check_known
+from swarmd.operator.session.states import follow_states
+from swarmd.operator.session.targets import Targets
 from swarmd.operator.texts.doctor import STEPS
+from swarmd.operator.verbs.doctor.ask import LISTEN_TIME, findings_of_robot
+from swarmd.operator.verbs.run.ask import Run, carry_out
+from swarmd.operator.verbs.stop.ask import reset, send_stop
 
 if TYPE_CHECKING:
     from swarmd.operator.session.operator import Operator
+    from swarmd.operator.session.session import Session
 
 T = TypeVar("T")
 _REASON = "acceptance test"
@@ -56,6 +54,24 @@ _LAST_TIME = 2.0  # s of the recording after a daemon or a link has come back
 # s in which a recording that was stopped is on the disk
 _FINISH_TIME = 10.0
 _POLL = 0.2
+_CLOSE_TIME = 3.0  # s in which the watch of the robot ends
+
+
+class Sessions(Protocol):
+    """Opens a session of an operator for one call to robots; several may be open at a time."""
+
+    def __call__(
+        self,
+        *,
+        cancelled: threading.Event | None = None,
+        began: float | None = None,
+        is_stop: bool = False,
+    ) -> AbstractContextManager[Session]:
+        """A session. `cancelled`: what it asks for is not wanted any more once this is set.
+
+        `began`: when the person said yes, in s on the clock since boot; None: now. `is_stop`: it
+        stops robots, also once the caller no longer waits.
+        """
 
 
 class TestedRobot:
@@ -68,20 +84,27 @@ class TestedRobot:
     __test__ = False  # its name is no name of a test
 
     def __init__(
-        self, options: CommonOptions, robot: str, folder: Path, config: Path | None
+        self,
+        sessions: Sessions,
+        robot: str,
+        folder: Path,
+        check: Callable[[], Sequence[Finding]] | None = None,
     ) -> None:
-        """Not connected. `folder`: of the results. `config`: of the daemon, on the robot itself."""
+        """Not connected. `folder`: of the results.
+
+        `check`: the findings of `swarmd --check`; None: this machine is not the robot.
+        """
         self.robot = robot
+        self._sessions = sessions
         self._folder = folder
-        self._config = config
+        self._own_check = check
         self.inputs: queue.SimpleQueue[Input] = queue.SimpleQueue()
         self.head: RecordingHead
         self.platform: Platform
         self._targets = Targets((robot,))
-        self._make = partial(options.operator, lambda text: None)
-        self._pool = OperatorPool(self._make)
-        self._swarm = Swarm(self._pool)
-        self._runner: Swarm | None = None  # renews the lease of the present run
+        self._lease = ExitStack()  # renews the lease of the present run until its close
+        self._closed = threading.Event()
+        self._watching: threading.Thread | None = None
         self._cancelled = threading.Event()  # the present run must not begin any more
         self._worker = ThreadPoolExecutor(1, "acceptance")
         self._work: deque[Future[None]] = deque()
@@ -96,7 +119,9 @@ class TestedRobot:
     def __exit__(self, *_: object) -> None:
         self._worker.shutdown(cancel_futures=True)
         self._end_lease()
-        self._swarm.close()
+        self._closed.set()
+        if self._watching is not None:
+            self._watching.join(_CLOSE_TIME)
 
     def open(self, platform: Platform | None = None) -> None:
         """Watch the robot; learn its platform and settings from a short recording before.
@@ -112,7 +137,8 @@ class TestedRobot:
                 raise
             text = f"two daemons have its name: {status.detail}; stop one of them"
             raise SwarmError(f"{self.robot}: {text}") from None
-        threading.Thread(target=self._watch, name="acceptance-watch", daemon=True).start()
+        self._watching = threading.Thread(target=self._watch, name="acceptance-watch", daemon=True)
+        self._watching.start()
 
     def _learn(self) -> Platform:
         """Make and read a short recording; the platform in it."""
@@ -174,7 +200,7 @@ class TestedRobot:
 
     def _statuses(self) -> dict[str, Status]:
         """The present status of each robot that answers."""
-        with self._session() as session:
+        with self._sessions() as session:
             members = session.operator.members().members
         return {name: one.status for name, one in members.items() if one.status is not None}
 
@@ -199,14 +225,16 @@ class TestedRobot:
         if (motion := step.motion) is None:
             return
         self._end_lease()
-        self._runner = Swarm(OperatorPool(self._make))
-        outcome = self._runner._cancellable(self._cancelled, said_at).run(
-            motion.pattern,
-            (self.robot,),
-            params=motion.params,
-            seconds=motion.seconds,
-            lease=LEASE,
-        )
+        run = Run(pattern=motion.pattern, params=motion.params, seconds=motion.seconds, lease=LEASE)
+        run.check()
+        with ExitStack() as opened:
+            session = opened.enter_context(self._sessions(cancelled=self._cancelled, began=said_at))
+            targeted = session.target(self._targets, needs_status=run.needs_status)
+            outcome = targeted.counted(
+                carry_out(run, targeted, self._targets.names, opened).outcome
+            )
+            if outcome.applied and not session.is_cancelled():
+                self._lease = opened.pop_all()  # until then the lease is renewed
         if not outcome.applied:
             reply = outcome.replies.get(self.robot)
             self.inputs.put(Refused("no answer" if reply is None else reply.text))
@@ -226,7 +254,8 @@ class TestedRobot:
         elif step.work is Work.CHECK:
             findings = self._check()
         elif step.work is Work.RESET:
-            self._swarm.reset((self.robot,), reason=_REASON)
+            with self._sessions() as session:
+                reset(session.target(self._targets, needs_status=True), reason=_REASON)
         elif step.work is Work.WRITE:
             findings = [self._write_platform(verdicts)]
         statuses = self._statuses()
@@ -245,52 +274,49 @@ class TestedRobot:
     def _stop(self, is_emergency: bool) -> None:
         self._answer = "no answer to the stop; use the switch of the base"
         with suppress(SwarmError):
-            if is_emergency:
-                outcome = self._swarm.estop((self.robot,), reason=_REASON)
-            else:
-                outcome = self._swarm.stop((self.robot,))
+            with self._sessions(is_stop=True) as session:
+                if is_emergency:
+                    outcome = send_stop(session, "estop", self._targets, _REASON)
+                else:
+                    outcome = send_stop(session, "stop", self._targets)
             if (reply := outcome.replies.get(self.robot)) is not None:
                 self._answer = f"the stop was answered: {reply.text}"
 
     def _end_lease(self) -> None:
-        runner = self._runner
-        self._runner = None
-        if runner is not None:
-            runner.close()
+        lease = self._lease
+        self._lease = ExitStack()
+        lease.close()
 
     def _watch(self) -> None:
-        """Put a sight of the robot for each pose and each change, until the connection closes."""
-        while True:
-            try:
-                for state in self._swarm.states((self.robot,), poses=True):
-                    pattern = state.pattern if state.state is State.RUNNING else ""
-                    pose = Pose(state.x, state.y, state.yaw)
-                    is_estopped = state.state is State.ESTOPPED
-                    is_held = bool(pattern) and state.reason not in _NO_HOLD
-                    step = state.report.get("step", "") if pattern else ""  # of this run
-                    text = f"held: {state.reason}" if is_held else step
-                    self.inputs.put(Sight(pattern or "", is_estopped, pose, str(text)))
-                return
-            except SwarmError:
-                time.sleep(_PROBE_TIME)
+        """Put a sight of the robot for each pose and each change, until the end of the test."""
+        while not self._closed.is_set():
+            with suppress(SwarmError):
+                self._watch_once()
+            self._closed.wait(_PROBE_TIME)
 
-    @contextmanager
-    def _session(self) -> Iterator[Session]:
-        with self._pool.lend() as operator:
-            yield Session(operator)
+    def _watch_once(self) -> None:
+        with self._sessions(cancelled=self._closed) as session:
+            for state in follow_states(session, self._targets, poses=True):
+                pattern = state.pattern if state.state is State.RUNNING else ""
+                pose = Pose(state.x, state.y, state.yaw)
+                is_estopped = state.state is State.ESTOPPED
+                is_held = bool(pattern) and state.reason not in _NO_HOLD
+                step = state.report.get("step", "") if pattern else ""  # of this run
+                text = f"held: {state.reason}" if is_held else step
+                self.inputs.put(Sight(pattern or "", is_estopped, pose, str(text)))
 
     # Recordings
 
     def _start_recording(self) -> None:
         """Start a recording; what the robot has recorded before is known from now on."""
-        with self._session() as session:
+        with self._sessions() as session:
             session.operator.members()
             reply = recordings_of(partial(_ask, session.operator), self.robot)
             self._known = frozenset(file.name for file in reply.files)
         self._record("start")
 
     def _record(self, action: str) -> None:
-        with self._session() as session:
+        with self._sessions() as session:
             targeted = session.target(self._targets, needs_status=False)
             targeted.request(RecordRequest, action=action)
 
@@ -303,7 +329,7 @@ class TestedRobot:
         for path in recordings_in(self._folder, step):
             path.unlink()
         found = []
-        with self._session() as session:
+        with self._sessions() as session:
             session.operator.members()
             ask = partial(_ask, session.operator)
             files = self._finished_files(ask)
@@ -330,23 +356,19 @@ class TestedRobot:
 
     def _doctor(self, listen_time: float = LISTEN_TIME) -> list[Finding]:
         """The findings of the doctor on the robot; beacons are heard for `listen_time` s."""
-        with self._session() as session:
+        with self._sessions() as session:
             view = session.operator.members()
             time.sleep(listen_time)
             return list(findings_of_robot(session.operator, view, self.robot, ASK_TIME))
 
     def _check(self) -> list[Finding]:
         """The findings of `swarmd --check` on this machine."""
-        if self._config is None:
+        if self._own_check is None:
             text = "run the test on the robot itself with --daemon-config FILE, or swarmd --check"
             return [unknown("check", text)]
-        from swarmd.operator.cli.preflight import findings_of
-        from swarmd.settings.settings import load_daemon_settings
-
-        found = findings_of(load_daemon_settings(self._config, {}))
         # The running daemon counts as another node that commands the base: step A6 looks for those.
         # Steps A1 to A4 judge the machine and its network.
-        return [one for one in found if one.subject not in {*STEPS, "last_word"}]
+        return [one for one in self._own_check() if one.subject not in {*STEPS, "last_word"}]
 
     def _write_platform(self, verdicts: Mapping[str, Verdict]) -> Finding:
         """Write the platform file that follows from the calibration to the folder."""
@@ -358,16 +380,6 @@ class TestedRobot:
         values = verdicts["C2"].values
         path.write_text(measured_file(self.robot, status.platform, today, values))
         return Finding("platform file", True, f"written: {path}")
-
-
-def status_of(options: CommonOptions, operator: Operator, robot: str) -> Status:
-    """The status of a robot; Failure if it does not answer, RequestError if it is not known."""
-    view = known_members(options, operator)
-    check_known(robot, view.members, view.roster)
-    member = view.members[robot]
-    if member.status is None or member.presence is not Presence.ALIVE:
-        raise Failure(f"{robot} does not answer; see `swarmctl members`", TIMEOUT)
-    return member.status
 
 
 def _ask(operator: Operator, robot: str, name: str, payload: bytes) -> bytes | None:

@@ -12,7 +12,7 @@ from swarmd.core.finding import Finding, warning
 from swarmd.core.messages import Reason, Status
 from swarmd.core.verbs import RecordingFile, RecordingsReply
 from swarmd.operator.acceptance.result_file import RECORD
-from swarmd.operator.cli.acceptance_robot import TestedRobot
+from swarmd.operator.verbs.acceptance.tested_robot import TestedRobot
 from tests.support.statuses import status
 
 TWICE = status("r", reason=Reason.DUPLICATE_ID, detail="this id is also held by abc")
@@ -20,7 +20,7 @@ TWICE = status("r", reason=Reason.DUPLICATE_ID, detail="this id is also held by 
 
 @pytest.fixture
 def robot(tmp_path: Path) -> TestedRobot:
-    return TestedRobot(mock.Mock(), "r", tmp_path, None)
+    return TestedRobot(mock.Mock(), "r", tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -69,12 +69,8 @@ def test_a_check_is_judged_by_what_no_other_step_judges(tmp_path: Path) -> None:
         warning("clock", "not synchronised by NTP", "chrony"),
         Finding("last_word", False, "the daemon"),
     ]
-    robot = TestedRobot(mock.Mock(), "r", tmp_path, tmp_path / "r.yaml")
-    with (
-        mock.patch("swarmd.operator.cli.preflight.findings_of", return_value=found),
-        mock.patch("swarmd.settings.settings.load_daemon_settings"),
-    ):
-        assert robot._check() == found[:1]
+    robot = TestedRobot(mock.Mock(), "r", tmp_path, lambda: found)
+    assert robot._check() == found[:1]
 
 
 def test_a_recording_is_copied_once_its_last_chunk_is_on_the_disk(robot: TestedRobot) -> None:
@@ -86,7 +82,9 @@ def test_a_recording_is_copied_once_its_last_chunk_is_on_the_disk(robot: TestedR
         for one in (being_written, finished)
     ]
     with (
-        mock.patch("swarmd.operator.cli.acceptance_robot.recordings_of", side_effect=listed),
+        mock.patch(
+            "swarmd.operator.verbs.acceptance.tested_robot.recordings_of", side_effect=listed
+        ),
         mock.patch("time.sleep"),
     ):
         assert robot._finished_files(mock.Mock()) == [finished]

@@ -5,35 +5,30 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Iterator
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from swarmd.core.codec import Decoder
-from swarmd.core.errors import CodecError, ConfigError, NetworkError
+from swarmd.core.errors import ConfigError, NetworkError
 from swarmd.core.finding import Finding, warning
 from swarmd.core.machine import measure_machine
-from swarmd.core.verbs import DOCTOR
 from swarmd.daemon.systemd import CONFIG_FILE
 from swarmd.link.carriers.network_facts import measure_network
 from swarmd.operator.cli.findings import HERE, Line, exit_code_of, print_findings
 from swarmd.operator.cli.options import CommonOptions, common_options
 from swarmd.operator.cli.output import print_json
 from swarmd.operator.cli.targets import takes_targets
-from swarmd.operator.session.ask_robots import ASK_TIME, MAX_ANSWER, in_reach
+from swarmd.operator.session.ask_robots import ASK_TIME, in_reach
 from swarmd.operator.session.known_robots import remember
 from swarmd.operator.session.targets import Targets, robots_of
 from swarmd.operator.texts import doctor as findings_of
 from swarmd.operator.texts.doctor import worst
+from swarmd.operator.verbs.doctor.ask import LISTEN_TIME, findings_of_robot
 from swarmd.settings.yamlfile import read
 
 if TYPE_CHECKING:
-    from swarmd.operator.session.members_view import MembersView
     from swarmd.operator.session.operator import Operator
-
-LISTEN_TIME = 1.5  # s: each robot sends a beacon a second
 
 
 @click.command()
@@ -103,46 +98,6 @@ def _of_robots(options: CommonOptions, operator: Operator, targets: Targets) -> 
         timeout = (options.timeout or ASK_TIME) if robot in reachable else None
         for finding in findings_of_robot(operator, view, robot, timeout):
             yield Line(robot, finding)
-
-
-def findings_of_robot(
-    operator: Operator, view: MembersView, robot: str, timeout: float | None
-) -> Iterator[Finding]:
-    """Yields the findings about a robot, from a look at the swarm and from its answer to a query.
-
-    `timeout`: the longest wait for the answer in s; None for a robot out of reach, which is not
-    queried.
-    """
-    answer = None
-    sent_at = time.time()
-    if timeout is not None:
-        answer = operator.ask(robot, DOCTOR.name, timeout=timeout)
-    returned_at = time.time()
-    if answer is None:
-        remedy = "see swarmctl members; look at its power, its network and its daemon"
-        yield Finding("answer", False, "it does not answer", remedy)
-        return
-    try:
-        reply = Decoder(DOCTOR.answer, MAX_ANSWER)(answer)
-    except CodecError as error:
-        remedy = "install the same version everywhere"
-        yield Finding("answer", False, f"unreadable: {error}", remedy)
-        return
-    yield findings_of.name(len(view.duplicates.get(robot, (robot,))))
-    yield findings_of.round_trip(view.round_trip, view.loss)
-    # The robot read its clock between `sent_at` and `returned_at`: in their middle, within half of
-    # the time between them.
-    answered_at = 0.5 * (sent_at + returned_at)
-    yield from findings_of.of_robot(
-        reply,
-        skew=reply.machine.wall - answered_at,
-        error=0.5 * (returned_at - sent_at),
-        version=version("swarmd"),
-        ways=operator.ways(robot),
-        others=len(set(view.alive) - {robot}),
-        now=returned_at,
-        roster=None if operator.identity is None else operator.identity.roster.generation,
-    )
 
 
 def _record(line: Line) -> dict[str, str]:

@@ -33,10 +33,13 @@ class InputWatch:
         """When input that is read at `now` arrived: `now`, or -inf if its age is unknown."""
         return now if now - self._looked_at <= MAX_GAP else -math.inf
 
+    def is_unbroken(self, since: float, now: float) -> bool:
+        """True if the reader looked within each MAX_GAP from `since` to `now`."""
+        return since >= self._unbroken_since and now - self._looked_at <= MAX_GAP
+
     def is_fresh(self, at: float, now: float) -> bool:
         """True if a command that arrived `at` may start motion at `now`.
 
         False after MAX_LATENESS, and if the reader did not look for MAX_GAP since `at`.
         """
-        is_unbroken = at >= self._unbroken_since and now - self._looked_at <= MAX_GAP
-        return is_unbroken and now - at < MAX_LATENESS
+        return self.is_unbroken(at, now) and now - at < MAX_LATENESS

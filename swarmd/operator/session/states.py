@@ -16,7 +16,7 @@ from swarmd.core.clock import boottime
 from swarmd.core.codec import Decoder
 from swarmd.core.messages import Motion, Reason, State, Status
 from swarmd.core.values import Scalar
-from swarmd.operator.client.swarm_watch import SwarmWatch
+from swarmd.operator.session.swarm_watch import SwarmWatch
 
 if TYPE_CHECKING:
     from swarmd.operator.session.members_view import MembersView
