@@ -18,8 +18,8 @@ from swarmd.operator.cli.output import print_json, print_table, warn
 from swarmd.operator.cli.send import known_members, session_of, show
 from swarmd.operator.client.goals import resume_on
 from swarmd.operator.session.exit_codes import APPLIED, NO_TARGET, PARTIAL
-from swarmd.operator.session.operator_goals import next_goal, signed_goals
 from swarmd.operator.session.outcome import Outcome, joined
+from swarmd.operator.session.session import next_goal, signed_goals
 from swarmd.operator.verbs.run.send_goal import check_sets_goals, send_goal
 
 if TYPE_CHECKING:

@@ -21,7 +21,7 @@ import click
 
 from swarmd.core.clock import boottime
 from swarmd.operator.cli.output import rewrite, terminal_width
-from swarmd.operator.session.input_watch import TOO_LATE, InputWatch
+from swarmd.operator.session.clocks import TOO_LATE, InputWatch
 from swarmd.operator.texts.values import printable
 
 if TYPE_CHECKING:

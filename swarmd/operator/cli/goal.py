@@ -15,7 +15,7 @@ from swarmd.operator.client.goals import resume_on
 from swarmd.operator.client.goals import undo as set_before
 from swarmd.operator.session.exit_codes import APPLIED, PARTIAL, TIMEOUT
 from swarmd.operator.session.members_view import MembersView
-from swarmd.operator.session.operator_goals import signed_goals
+from swarmd.operator.session.session import signed_goals
 from swarmd.operator.session.targets import Targets, robots_of
 from swarmd.operator.texts.goal import Difference, describe_goal, differences, goals_of
 from swarmd.operator.texts.values import NOTHING, printable, seconds

@@ -17,7 +17,7 @@ from swarmd.operator.cli import completion
 from swarmd.operator.cli.options import CommonOptions, VerbGroup, common_options
 from swarmd.operator.cli.output import line_width, print_json, print_section, print_table
 from swarmd.operator.cli.send import exit_code_of, known_members, report, session_of
-from swarmd.operator.session.dials import Dials
+from swarmd.operator.session.members_view import Dials
 from swarmd.operator.session.targets import check_known
 from swarmd.operator.texts.keys import (
     end_of_certificate,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from swarmd.core.messages import Status
 from swarmd.operator.client.event_feed import EventFeed, EventLine
-from swarmd.operator.session.swarm_watch import SwarmWatch
+from swarmd.operator.session.looks import SwarmWatch
 
 if TYPE_CHECKING:
     from swarmd.operator.session.members_view import MembersView

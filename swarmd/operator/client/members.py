@@ -11,8 +11,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from swarmd.operator.session.exit_codes import code_of_answers
+from swarmd.operator.session.looks import Pose
 from swarmd.operator.session.members_view import MembersView, SeenMember
-from swarmd.operator.session.states import Pose
 from swarmd.operator.session.targets import check_known
 from swarmd.operator.texts.members import HEADER, health, row
 from swarmd.operator.texts.status import NOT_DESCRIBED, sections_with_events

@@ -15,11 +15,19 @@ from swarmd.core.errors import ConfigError, ForkedError, RequestError, SwarmErro
 from swarmd.core.numbers import python_value
 from swarmd.operator.client.loop_life import LoopLife
 from swarmd.operator.client.members import Description, Members
-from swarmd.operator.session.arguments import Words, check_time, check_words, plain_params
 from swarmd.operator.session.exit_codes import NO_TARGET, TIMEOUT
+from swarmd.operator.session.looks import Pose, RobotState, follow_states, read_poses
 from swarmd.operator.session.session import Session
-from swarmd.operator.session.states import Pose, RobotState, follow_states, read_poses
-from swarmd.operator.session.targets import Targets, make_targets, no_target, robots_of
+from swarmd.operator.session.targets import (
+    Targets,
+    Words,
+    check_time,
+    check_words,
+    make_targets,
+    no_target,
+    plain_params,
+    robots_of,
+)
 
 if TYPE_CHECKING:
     from swarmd.link.keys.identity import Identity
@@ -123,7 +131,7 @@ class Swarm(Closing):
         timeout: float | None = None,
     ) -> tuple[Difference, ...]:
         """What each robot is to do beside what it does; `is_as_desired` tells whether it does."""
-        from swarmd.operator.session.operator_goals import signed_goals
+        from swarmd.operator.session.session import signed_goals
         from swarmd.operator.texts.goal import differences
 
         targets = _targets(robots, labels, exclude)

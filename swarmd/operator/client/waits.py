@@ -8,8 +8,7 @@ from dataclasses import dataclass
 
 from swarmd.core.clock import boottime
 from swarmd.operator.session.members_view import MembersView
-from swarmd.operator.session.operator_goals import signed_goals
-from swarmd.operator.session.session import Session, unreachable
+from swarmd.operator.session.session import Session, signed_goals, unreachable
 from swarmd.operator.session.targets import Targets, labels_of
 from swarmd.operator.texts.awaited import Awaited, meeting, unmet
 

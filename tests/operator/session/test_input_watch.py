@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from swarmd.operator.session.input_watch import InputWatch
+from swarmd.operator.session.clocks import InputWatch
 
 
 def watched(*looks: float) -> InputWatch:

@@ -28,7 +28,7 @@ from swarmd.operator.acceptance.result_file import (
     write_record,
 )
 from swarmd.operator.acceptance.samples import read_samples
-from swarmd.operator.session.operator_text import operator_name
+from swarmd.operator.session.targets import operator_name
 from swarmd.settings.platforms import platform_names, platform_sources
 from swarmd.settings.yamlfile import text_of
 

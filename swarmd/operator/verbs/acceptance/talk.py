@@ -27,7 +27,7 @@ from swarmd.operator.acceptance.dialogue import (
     Stop,
     Tick,
 )
-from swarmd.operator.session.input_watch import TOO_LATE, InputWatch
+from swarmd.operator.session.clocks import TOO_LATE, InputWatch
 from swarmd.operator.verbs.acceptance import words
 
 if TYPE_CHECKING:

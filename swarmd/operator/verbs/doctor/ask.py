@@ -11,7 +11,7 @@ from swarmd.core.codec import Decoder
 from swarmd.core.errors import CodecError
 from swarmd.core.finding import Finding
 from swarmd.core.verbs import DOCTOR
-from swarmd.operator.session.ask_robots import MAX_ANSWER
+from swarmd.operator.session.session import MAX_ANSWER
 from swarmd.operator.texts import doctor as findings_of
 
 if TYPE_CHECKING:

@@ -19,9 +19,8 @@ from swarmd.operator.cli.findings import HERE, Line, exit_code_of, print_finding
 from swarmd.operator.cli.options import CommonOptions, common_options
 from swarmd.operator.cli.output import print_json
 from swarmd.operator.cli.targets import takes_targets
-from swarmd.operator.session.ask_robots import ASK_TIME, in_reach
-from swarmd.operator.session.known_robots import remember
-from swarmd.operator.session.targets import Targets, robots_of
+from swarmd.operator.session.session import ASK_TIME, in_reach
+from swarmd.operator.session.targets import Targets, remember, robots_of
 from swarmd.operator.texts import doctor as findings_of
 from swarmd.operator.texts.doctor import worst
 from swarmd.operator.verbs.doctor.ask import LISTEN_TIME, findings_of_robot
