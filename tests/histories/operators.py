@@ -50,7 +50,7 @@ from swarmd.operator.session.operator import CLOCK_PERIOD
 from swarmd.operator.session.outcome import Acks, Outcome, joined
 from swarmd.operator.session.senders import REPEAT_PERIOD, STOP_PACE, PendingStop, request_timeout
 from swarmd.operator.session.session import next_goal
-from swarmd.operator.texts.goal import content_of, present_goals, set_apart
+from swarmd.operator.verbs.goal.words import content_of, present_goals, set_apart
 from tests.histories.swarm import Node, VirtualSwarm
 
 POLL = 0.1  # s

@@ -12,7 +12,7 @@ from swarmd.operator.session.looks import RobotState
 from swarmd.plugins import need
 
 if TYPE_CHECKING:
-    from swarmd.operator.client.members import Members
+    from swarmd.operator.verbs.members.ask import Members
 
 
 def states_frame(states: Iterable[RobotState]) -> Any:

@@ -14,7 +14,6 @@ from swarmd.core.closing import Closing, is_program_on
 from swarmd.core.errors import ConfigError, ForkedError, RequestError, SwarmError
 from swarmd.core.numbers import python_value
 from swarmd.operator.client.loop_life import LoopLife
-from swarmd.operator.client.members import Description, Members
 from swarmd.operator.session.exit_codes import NO_TARGET, TIMEOUT
 from swarmd.operator.session.looks import Pose, RobotState, follow_states, read_poses
 from swarmd.operator.session.session import Session
@@ -28,18 +27,19 @@ from swarmd.operator.session.targets import (
     plain_params,
     robots_of,
 )
+from swarmd.operator.verbs.members.ask import Description, Members
 
 if TYPE_CHECKING:
     from swarmd.link.keys.identity import Identity
-    from swarmd.operator.client.event_feed import EventLine
     from swarmd.operator.client.operator_pool import OperatorPool
     from swarmd.operator.session.members_view import MembersView
     from swarmd.operator.session.outcome import Outcome
     from swarmd.operator.texts.assignments import Value
-    from swarmd.operator.texts.goal import Difference
     from swarmd.operator.verbs.acceptance.ask import Accepted
     from swarmd.operator.verbs.acceptance.talk import Question
     from swarmd.operator.verbs.drive.ask import Hand
+    from swarmd.operator.verbs.events.feed import EventLine
+    from swarmd.operator.verbs.goal.words import Difference
     from swarmd.operator.verbs.incidents.ask import Incidents, MarkOutcome
     from swarmd.operator.verbs.push.ask import PushOutcome
     from swarmd.operator.verbs.record.ask import Fetched
@@ -132,7 +132,7 @@ class Swarm(Closing):
     ) -> tuple[Difference, ...]:
         """What each robot is to do beside what it does; `is_as_desired` tells whether it does."""
         from swarmd.operator.session.session import signed_goals
-        from swarmd.operator.texts.goal import differences
+        from swarmd.operator.verbs.goal.words import differences
 
         targets = _targets(robots, labels, exclude)
         view = signed_goals(*self._look(timeout))
@@ -147,7 +147,7 @@ class Swarm(Closing):
         timeout: float | None = None,
     ) -> dict[str, dict[str, Any]]:
         """The parameters in force on each robot that has answered; empty if no pattern runs."""
-        from swarmd.operator.client.changes import params_of
+        from swarmd.operator.verbs.param.ask import params_of
 
         targets = _targets(robots, labels, exclude)
         view, _ = self._look(timeout)
@@ -167,8 +167,8 @@ class Swarm(Closing):
 
         `since`: s; also events of this time before the call. Each robot keeps its last 10 events.
         """
-        from swarmd.operator.client.event_feed import EventFeed
-        from swarmd.operator.client.events import follow_events
+        from swarmd.operator.verbs.events.ask import follow_events
+        from swarmd.operator.verbs.events.feed import EventFeed
 
         targets = _targets(robots, labels, exclude)
         if since != 0.0:
@@ -417,7 +417,7 @@ class Swarm(Closing):
         timeout: float | None = None,
     ) -> Outcome:
         """Change parameters of running patterns, until the next run."""
-        from swarmd.operator.client.changes import set_params
+        from swarmd.operator.verbs.param.ask import set_params
 
         plain = plain_params(values)
         targets = _targets(robots, labels, exclude)
@@ -437,8 +437,8 @@ class Swarm(Closing):
         timeout: float | None = None,
     ) -> Outcome:
         """Give robots labels, and take others away: `"+red -blue"`."""
-        from swarmd.operator.client.changes import change_labels
-        from swarmd.operator.texts.labels import read_changes
+        from swarmd.operator.verbs.label.ask import change_labels
+        from swarmd.operator.verbs.label.words import read_changes
 
         words = changes.split() if isinstance(changes, str) else check_words(changes, "changes")
         added, removed = read_changes(words)
@@ -561,7 +561,7 @@ class Swarm(Closing):
         timeout: float | None = None,
     ) -> Outcome:
         """Let robots run the goal that they were offered, or whose run has ended."""
-        from swarmd.operator.client.goals import resume_on
+        from swarmd.operator.verbs.goal.ask import resume_on
 
         targets = _targets(robots, labels, exclude)
         with self._session(timeout, is_request=True) as session:
@@ -572,7 +572,7 @@ class Swarm(Closing):
 
     def undo(self, *, timeout: float | None = None) -> Outcome:
         """Set the goal before the present one again; robots run it at once."""
-        from swarmd.operator.client.goals import undo
+        from swarmd.operator.verbs.goal.ask import undo
 
         with self._session(timeout, is_request=True) as session:
             return undo(session)
@@ -594,8 +594,8 @@ class Swarm(Closing):
         exit code 5 after the timeout; its text names each robot that does not meet the
         conditions.
         """
-        from swarmd.operator.client.waits import wait_for
-        from swarmd.operator.texts.awaited import read_awaited
+        from swarmd.operator.verbs.wait.ask import wait_for
+        from swarmd.operator.verbs.wait.words import read_awaited
 
         words = check_words(conditions, "conditions")
         targets = _targets(robots, labels, exclude)

@@ -26,7 +26,6 @@ from swarmd.link.settings import NetworkSettings
 from swarmd.operator.client.async_swarm import AsyncSwarm
 from swarmd.operator.client.connect import Connection
 from swarmd.operator.client.hand_over import from_thread
-from swarmd.operator.client.members import Members
 from swarmd.operator.client.network_options import NetworkOptions
 from swarmd.operator.client.operator_pool import MAX_IDLE, MAX_REQUESTS, LookTurns, OperatorPool
 from swarmd.operator.client.swarm import Swarm, _targets
@@ -36,6 +35,7 @@ from swarmd.operator.session.members_view import MembersView
 from swarmd.operator.session.outcome import Outcome
 from swarmd.operator.session.session import Session
 from swarmd.operator.session.targets import Targets, check_words, plain_params
+from swarmd.operator.verbs.members.ask import Members
 from swarmd.operator.verbs.run.ask import Run
 from swarmd.operator.verbs.run.canary import choose_canaries
 from swarmd.operator.verbs.run.lease import LeaseKeeper

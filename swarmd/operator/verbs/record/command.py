@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING
 
 import click
 
 from swarmd.core.errors import NetworkError
 from swarmd.core.verbs import RecordRequest
+from swarmd.operator.cli.fetched import print_fetched, tell_bytes
 from swarmd.operator.cli.options import FOLDER, CommonOptions, VerbGroup, common_options
-from swarmd.operator.cli.output import fields, print_json, print_table, rewrite, warn
+from swarmd.operator.cli.output import fields, print_json, print_table, warn
 from swarmd.operator.cli.record_merge import merge
 from swarmd.operator.cli.send import send_to, session_of
 from swarmd.operator.cli.targets import takes_targets
@@ -22,7 +22,6 @@ from swarmd.operator.verbs.record.ask import ask_of, code_of_fetch, fetch_files
 if TYPE_CHECKING:
     from swarmd.core.verbs import RecordingFile, RecordingsReply
     from swarmd.operator.session.session import Session
-    from swarmd.operator.verbs.record.ask import Fetched
 
 
 @click.group(cls=VerbGroup)
@@ -115,20 +114,6 @@ def fetch(options: CommonOptions, targets: Targets, folder: Path) -> None:
         print_fetched(options, fetched)
 
 
-def print_fetched(options: CommonOptions, fetched: Fetched) -> NoReturn:
-    """Print the copies of a fetch and end with its exit code."""
-    if sys.stderr.isatty():
-        rewrite("")  # clears the line of progress
-    if options.is_json:
-        print_json("Fetched", fetched.as_json())
-    else:
-        rows = [
-            (one.robot, str(one.path), megabytes(one.size, 2), one.state) for one in fetched.files
-        ]
-        print_table(("NAME", "FILE", "SIZE", "COPY"), rows)
-    click.get_current_context().exit(fetched.exit_code)
-
-
 record.add_command(merge)
 
 
@@ -146,12 +131,6 @@ def _recordings(session: Session, targets: Targets) -> tuple[dict[str, Recording
             session.tell(str(error))
             failed.append(robot)
     return recordings, failed
-
-
-def tell_bytes(robot: str, name: str, received: int, size: int) -> None:
-    """Show how much of a file has come, on a terminal."""
-    if sys.stderr.isatty():
-        rewrite(f"{robot} {name}: {megabytes(received, 2)} of {megabytes(size, 2)}")
 
 
 def _times(file: RecordingFile, now: float) -> tuple[str, str]:

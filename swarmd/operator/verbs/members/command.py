@@ -26,7 +26,9 @@ from swarmd.operator.texts.keys import (
     own_remedy,
     permit_warning,
 )
-from swarmd.operator.texts.members import (
+from swarmd.operator.texts.values import printable
+from swarmd.operator.texts.why import why
+from swarmd.operator.verbs.members.words import (
     BY_DATAGRAMS,
     HEADER,
     WIDE,
@@ -35,8 +37,6 @@ from swarmd.operator.texts.members import (
     row,
     wide_cells,
 )
-from swarmd.operator.texts.values import printable
-from swarmd.operator.texts.why import why
 
 if TYPE_CHECKING:
     from swarmd.core.messages import Status
@@ -102,7 +102,7 @@ def members(options: CommonOptions, wide: bool, quick: bool) -> None:
 @common_options
 def forget(options: CommonOptions, name: str) -> None:
     """Remove a robot that failed or left from the lists of all robots."""
-    from swarmd.operator.client.changes import forget as remove  # looks do without
+    from swarmd.operator.verbs.members.ask import forget as remove  # looks do without
 
     with options.operator() as operator:
         view = known_members(options, operator, is_request_next=True)

@@ -10,11 +10,11 @@ from swarmd.operator.cli import completion
 from swarmd.operator.cli.options import CommonOptions, Failure, common_options
 from swarmd.operator.cli.send import Asked, asking
 from swarmd.operator.cli.targets import takes_targets
-from swarmd.operator.client.changes import change_labels
 from swarmd.operator.session.exit_codes import TIMEOUT
 from swarmd.operator.session.outcome import joined
 from swarmd.operator.session.targets import Targets, labels_of
-from swarmd.operator.texts.labels import read_changes
+from swarmd.operator.verbs.label.ask import change_labels
+from swarmd.operator.verbs.label.words import read_changes
 
 
 class LabelCommand(click.Command):

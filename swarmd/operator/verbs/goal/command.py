@@ -11,14 +11,14 @@ from swarmd.operator.cli.options import CommonOptions, common_options
 from swarmd.operator.cli.output import fields, print_json, print_table
 from swarmd.operator.cli.send import asking, known_members, report, session_of
 from swarmd.operator.cli.targets import takes_targets
-from swarmd.operator.client.goals import resume_on
-from swarmd.operator.client.goals import undo as set_before
 from swarmd.operator.session.exit_codes import APPLIED, PARTIAL, TIMEOUT
 from swarmd.operator.session.members_view import MembersView
 from swarmd.operator.session.session import signed_goals
 from swarmd.operator.session.targets import Targets, robots_of
-from swarmd.operator.texts.goal import Difference, describe_goal, differences, goals_of
 from swarmd.operator.texts.values import NOTHING, printable, seconds
+from swarmd.operator.verbs.goal.ask import resume_on
+from swarmd.operator.verbs.goal.ask import undo as set_before
+from swarmd.operator.verbs.goal.words import Difference, describe_goal, differences, goals_of
 
 
 @click.command()

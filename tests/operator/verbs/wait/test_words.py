@@ -7,7 +7,7 @@ import pytest
 from swarmd.core.errors import ConfigError
 from swarmd.core.goal import GoalState
 from swarmd.core.messages import Presence, State
-from swarmd.operator.texts.awaited import Awaited, meeting, read_awaited, unmet
+from swarmd.operator.verbs.wait.words import Awaited, meeting, read_awaited, unmet
 from tests.support.goals import goal_status, make_goal, member_with, view_of
 from tests.support.statuses import make_member
 

@@ -16,17 +16,17 @@ from swarmd.operator.cli.consent import need_consent
 from swarmd.operator.cli.options import FILE, CommonOptions, Failure, common_options
 from swarmd.operator.cli.output import print_json, print_table, warn
 from swarmd.operator.cli.send import known_members, session_of, show
-from swarmd.operator.client.goals import resume_on
 from swarmd.operator.session.exit_codes import APPLIED, NO_TARGET, PARTIAL
 from swarmd.operator.session.outcome import Outcome, joined
 from swarmd.operator.session.session import next_goal, signed_goals
+from swarmd.operator.verbs.goal.ask import resume_on
 from swarmd.operator.verbs.run.send_goal import check_sets_goals, send_goal
 
 if TYPE_CHECKING:
     from swarmd.core.messages import Epoch
-    from swarmd.operator.client.apply_plan import Plan
     from swarmd.operator.session.members_view import MembersView
     from swarmd.operator.session.operator import Operator
+    from swarmd.operator.verbs.apply.ask import Plan
     from swarmd.settings.swarmfile import SwarmFile
 
 _file = click.argument("file", type=FILE)
@@ -86,7 +86,7 @@ def apply(options: CommonOptions, file: Path, yes: bool) -> None:
 
 
 def _plan(operator: Operator, view: MembersView) -> Plan:
-    from swarmd.operator.client.apply_plan import plan_of
+    from swarmd.operator.verbs.apply.ask import plan_of
 
     plan = plan_of(cast("SwarmFile", operator.settings), signed_goals(view, operator.identity))
     if plan.goal is not None and not plan.targets:

@@ -8,10 +8,10 @@ from swarmd.operator.cli.options import CommonOptions, Failure, common_options
 from swarmd.operator.cli.output import print_json
 from swarmd.operator.cli.send import session_of
 from swarmd.operator.cli.targets import takes_targets
-from swarmd.operator.client.waits import wait_for
 from swarmd.operator.session.exit_codes import APPLIED, TIMEOUT
 from swarmd.operator.session.targets import Targets
-from swarmd.operator.texts.awaited import read_awaited
+from swarmd.operator.verbs.wait.ask import wait_for
+from swarmd.operator.verbs.wait.words import read_awaited
 
 
 @click.command()

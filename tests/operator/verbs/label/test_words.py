@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from swarmd.core.errors import ConfigError
-from swarmd.operator.texts.labels import changed, read_changes
+from swarmd.operator.verbs.label.words import changed, read_changes
 
 
 def test_signs_add_and_remove() -> None:

@@ -8,8 +8,8 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from swarmd.core.messages import Status
-from swarmd.operator.client.event_feed import EventFeed, EventLine
 from swarmd.operator.session.looks import SwarmWatch
+from swarmd.operator.verbs.events.feed import EventFeed, EventLine
 
 if TYPE_CHECKING:
     from swarmd.operator.session.members_view import MembersView

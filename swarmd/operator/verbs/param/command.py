@@ -12,11 +12,11 @@ from swarmd.operator.cli.options import CommonOptions, VerbGroup, common_options
 from swarmd.operator.cli.output import print_json, print_table
 from swarmd.operator.cli.send import asking, exit_code_of, known_members
 from swarmd.operator.cli.targets import read_targets, takes_targets, target_options
-from swarmd.operator.client.changes import params_of
-from swarmd.operator.client.changes import set_params as change
 from swarmd.operator.session.targets import Targets, robots_of
 from swarmd.operator.texts.assignments import read_assignments
 from swarmd.operator.texts.values import NOTHING, number
+from swarmd.operator.verbs.param.ask import params_of
+from swarmd.operator.verbs.param.ask import set_params as change
 
 if TYPE_CHECKING:
     from swarmd.operator.session.members_view import MembersView

@@ -9,7 +9,7 @@ import pytest
 from swarmd.core.goal import GoalState
 from swarmd.core.messages import Latch, Presence, Reason, State
 from swarmd.operator.session.members_view import Contact
-from swarmd.operator.texts.goal import (
+from swarmd.operator.verbs.goal.words import (
     Difference,
     content_of,
     describe_goal,

@@ -1,4 +1,4 @@
-"""The robots of a swarm as a look has shown them, for Python and notebooks."""
+"""The robots of a swarm as a look has shown them, for Python; and members are forgotten."""
 
 from __future__ import annotations
 
@@ -10,14 +10,18 @@ from html import escape
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from swarmd.operator.session.exit_codes import code_of_answers
+from swarmd.core.errors import RequestError
+from swarmd.core.messages import Presence
+from swarmd.core.verbs import ForgetRequest
+from swarmd.operator.session.exit_codes import REFUSED, code_of_answers
 from swarmd.operator.session.looks import Pose
 from swarmd.operator.session.members_view import MembersView, SeenMember
+from swarmd.operator.session.outcome import Outcome
 from swarmd.operator.session.targets import check_known
-from swarmd.operator.texts.members import HEADER, health, row
 from swarmd.operator.texts.status import NOT_DESCRIBED, sections_with_events
 from swarmd.operator.texts.values import printable
 from swarmd.operator.texts.why import why
+from swarmd.operator.verbs.members.words import HEADER, health, row
 from swarmd.plugins import installed_patterns
 
 _COLOURS = {"running": "#2e7d32", "estopped": "#c62828", "faulted": "#c62828", "failed": "#c62828"}
@@ -25,6 +29,7 @@ _SIDE = 320  # px of the map
 
 if TYPE_CHECKING:
     from swarmd.link.keys.identity import Identity
+    from swarmd.operator.session.session import Session
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,3 +187,16 @@ def _html_row(cells: Sequence[str]) -> str:
 def printable_lines(lines: Sequence[str]) -> str:
     """Lines whose control characters are `?`: robots send them."""
     return "\n".join(map(printable, lines))
+
+
+def forget(session: Session, view: MembersView, name: str) -> Outcome:
+    """Remove a robot that failed or left from the member lists of all robots.
+
+    RequestError if the robot is alive.
+    """
+    if view.members[name].presence is Presence.ALIVE:
+        text = f"{name} is alive; only robots that failed or left can be forgotten"
+        raise RequestError(text, REFUSED)
+    epochs = view.epochs(view.alive)
+    wait = session.time_left(view)
+    return session.operator.request(ForgetRequest, epochs, timeout=wait, name=name)

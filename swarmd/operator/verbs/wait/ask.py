@@ -10,7 +10,7 @@ from swarmd.core.clock import boottime
 from swarmd.operator.session.members_view import MembersView
 from swarmd.operator.session.session import Session, signed_goals, unreachable
 from swarmd.operator.session.targets import Targets, labels_of
-from swarmd.operator.texts.awaited import Awaited, meeting, unmet
+from swarmd.operator.verbs.wait.words import Awaited, meeting, unmet
 
 TIME = 30.0  # s of a wait without a timeout
 PERIOD = 0.3  # s between looks

@@ -9,9 +9,9 @@ from typing import Any
 from swarmd.core.goal import Goal, GoalState, GoalStatus
 from swarmd.core.messages import State, Status
 from swarmd.operator.session.members_view import Contact, MembersView
-from swarmd.operator.texts.goal import content_of, present_goals
 from swarmd.operator.texts.values import NOTHING, number
 from swarmd.operator.texts.why import absence
+from swarmd.operator.verbs.goal.words import content_of, present_goals
 from swarmd.settings.swarmfile import SwarmFile
 
 Params = Mapping[str, Any]

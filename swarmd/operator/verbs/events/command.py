@@ -18,8 +18,8 @@ from swarmd.operator.session.targets import Targets, robots_of
 from swarmd.operator.texts.values import printable, seconds
 
 if TYPE_CHECKING:
-    from swarmd.operator.client.event_feed import EventFeed, EventLine
     from swarmd.operator.session.session import Session
+    from swarmd.operator.verbs.events.feed import EventFeed, EventLine
 
 PERIOD = 0.5  # s for which equal events of further robots are awaited
 NAME_WIDTH = 10
@@ -36,8 +36,8 @@ def events(options: CommonOptions, targets: Targets, follow: bool, since: float 
     Each robot keeps its last 10 events. With -f the command continues, and prints also holds as
     they begin and end, and robots that fall silent and return; with -o json a document a line.
     """
-    from swarmd.operator.client.event_feed import EventFeed
-    from swarmd.operator.client.events import events_of
+    from swarmd.operator.verbs.events.ask import events_of
+    from swarmd.operator.verbs.events.feed import EventFeed
 
     longest_age = float("inf") if since is None else since  # s
     feed = EventFeed(longest_age)
@@ -65,7 +65,7 @@ def events(options: CommonOptions, targets: Targets, follow: bool, since: float 
 
 def _follow(session: Session, feed: EventFeed, targets: Targets, *, is_json: bool) -> None:
     """Print events until a signal."""
-    from swarmd.operator.client.events import follow_events
+    from swarmd.operator.verbs.events.ask import follow_events
 
     held: list[EventLine] = []
     due = 0.0
@@ -83,7 +83,7 @@ def _follow(session: Session, feed: EventFeed, targets: Targets, *, is_json: boo
 
 
 def _print(lines: Iterable[EventLine]) -> None:
-    from swarmd.operator.client.event_feed import together
+    from swarmd.operator.verbs.events.feed import together
 
     for line, robots in together(lines):
         at = _time(line)

@@ -15,8 +15,8 @@ from swarmd.core.messages import (
     State,
     Status,
 )
-from swarmd.operator.client.event_feed import BURST, EventFeed, EventLine, together
 from swarmd.operator.session.members_view import MembersView
+from swarmd.operator.verbs.events.feed import BURST, EventFeed, EventLine, together
 from tests.support.statuses import make_member, status
 
 START = 1000.0

@@ -10,7 +10,7 @@ import pytest
 from swarmd.core.errors import ConfigError
 from swarmd.core.goal import GoalState
 from swarmd.core.messages import Param, Presence, State
-from swarmd.operator.client.apply_plan import plan_of
+from swarmd.operator.verbs.apply.ask import plan_of
 from swarmd.settings.swarmfile import GoalSection, ParametersSection, SwarmFile, load_swarm
 from tests.support.goals import goal_status, make_goal, member_with, view_of
 from tests.support.statuses import make_member

@@ -9,9 +9,9 @@ from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.keys import is_id
 from swarmd.core.messages import Presence, State
 from swarmd.operator.session.members_view import Contact, MembersView, SeenMember
-from swarmd.operator.texts.goal import differences
 from swarmd.operator.texts.values import counted
 from swarmd.operator.texts.why import absence
+from swarmd.operator.verbs.goal.words import differences
 
 ALIVE = 0
 """The `count` of `count=alive`."""

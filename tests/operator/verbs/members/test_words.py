@@ -27,7 +27,7 @@ from swarmd.core.messages import (
 )
 from swarmd.operator.cli.output import print_table, terminal_width
 from swarmd.operator.session.members_view import Contact, MembersView, SeenMember
-from swarmd.operator.texts.members import HEADER, WIDE, health, row, wide_cells
+from swarmd.operator.verbs.members.words import HEADER, WIDE, health, row, wide_cells
 from swarmd.operator.view.screen import Screen
 from tests.support.goals import goal_status, make_goal, member_with, view_of
 from tests.support.statuses import ESTOPPED, make_member

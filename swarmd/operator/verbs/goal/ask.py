@@ -11,7 +11,7 @@ from swarmd.operator.session.exit_codes import NO_TARGET
 from swarmd.operator.session.members_view import MembersView
 from swarmd.operator.session.outcome import Outcome, joined
 from swarmd.operator.session.session import Session, next_goal, signed_goals
-from swarmd.operator.texts.goal import content_of, describe_goal, present_goals, set_apart
+from swarmd.operator.verbs.goal.words import content_of, describe_goal, present_goals, set_apart
 from swarmd.operator.verbs.run.send_goal import check_sets_goals, send_goal
 from swarmd.operator.verbs.stop.ask import stop_names
 
