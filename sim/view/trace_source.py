@@ -13,9 +13,9 @@ import numpy as np
 
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.values import Array, Platform
-from swarmd.operator.client.event_feed import EventLine, together
 from swarmd.operator.texts.values import quantity
 from swarmd.operator.texts.why import standing_of
+from swarmd.operator.verbs.events.feed import EventLine, together
 from swarmd.operator.view.playback import Playback
 from swarmd.operator.view.source import ShownArena, ShownRobot, points_of
 from swarmd.settings.layered import Layered

@@ -16,7 +16,7 @@ from swarmd.core.files import lock_file
 from swarmd.daemon.recording.ring import Ring
 from swarmd.link.keys.authority import Authority
 from swarmd.link.keys.roster import Role
-from swarmd.operator.session.stop_sender import StopOrigin
+from swarmd.operator.session.senders import StopOrigin
 from swarmd.sim.experiments import store
 
 NFS, LUSTRE = errno.ENOLCK, errno.ENOSYS

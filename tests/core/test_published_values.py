@@ -56,7 +56,7 @@ READERS = """
 import contextlib, json, runpy
 from types import SimpleNamespace as Stub
 from msgspec import to_builtins
-from swarmd.operator.client.members import Members
+from swarmd.operator.verbs.members.ask import Members
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.clock import boottime
 from swarmd.core.events import LatchesInput
@@ -66,7 +66,7 @@ from swarmd.link.datagram import pack, tag_of, unpack
 from swarmd.operator.session.members_view import Contact, MembersView, SeenMember
 from swarmd.operator.session.operator import Operator
 from swarmd.link.spread.latch_sync import latch_parts
-from swarmd.operator.texts.members import health
+from swarmd.operator.verbs.members.words import health
 from swarmd.operator.view.live import LiveSource
 from tests.daemon.test_requests import server_of
 from tests.support.stub_patterns import idle

@@ -14,7 +14,7 @@ from swarmd.core.verbs import GoalRequest
 from swarmd.daemon import store
 from swarmd.daemon.goal_service import GoalService
 from swarmd.daemon.store import StateFile
-from swarmd.operator.session.operator_goals import sign_goal
+from swarmd.operator.session.session import sign_goal
 from tests.support.keys import SwarmKeys
 
 GOAL = Goal(generation=3, issuer="bob", id="g3", pattern="drive")

@@ -29,7 +29,7 @@ from swarmd.link.keys.content_signature import Purpose, sign
 from swarmd.link.keys.key_permit import PresentRun
 from swarmd.link.keys.private_keys import load_private_key
 from swarmd.link.keys.roster import KeyPermit
-from swarmd.operator.session.operator_goals import sign_goal
+from swarmd.operator.session.session import sign_goal
 from tests.daemon.test_requests import RecordingQuery
 from tests.link.keyring import Keyring
 from tests.support.fake_services import fake_services

@@ -225,7 +225,8 @@ def test_the_daemon_and_fetch_do_without_the_libraries_of_recordings() -> None:
     code = (
         "import sys\n"
         "for name in ('mcap', 'rosbags', 'zstandard'): sys.modules[name] = None\n"
-        "import swarmd.daemon.daemon, swarmd.operator.cli.record, swarmd.daemon.recording.fetch"
+        "import swarmd.daemon.daemon, swarmd.daemon.recording.fetch\n"
+        "import swarmd.operator.verbs.record.command\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
 

@@ -43,17 +43,14 @@ from swarmd.link.datagram import (
 )
 from swarmd.link.keys.roster import Role
 from swarmd.link.signature import Author
-from swarmd.operator.session.arrivals import SOLICIT_PACE, RepeatTimer
+from swarmd.operator.session.clocks import SOLICIT_PACE, LoopWatch, RepeatTimer, RobotClocks
 from swarmd.operator.session.discovery import Discovery
-from swarmd.operator.session.loop_watch import LoopWatch
 from swarmd.operator.session.members_view import MembersView
 from swarmd.operator.session.operator import CLOCK_PERIOD
-from swarmd.operator.session.operator_goals import next_goal
 from swarmd.operator.session.outcome import Acks, Outcome, joined
-from swarmd.operator.session.request_sender import REPEAT_PERIOD, request_timeout
-from swarmd.operator.session.robot_clocks import RobotClocks
-from swarmd.operator.session.stop_sender import STOP_PACE, PendingStop
-from swarmd.operator.texts.goal import content_of, present_goals, set_apart
+from swarmd.operator.session.senders import REPEAT_PERIOD, STOP_PACE, PendingStop, request_timeout
+from swarmd.operator.session.session import next_goal
+from swarmd.operator.verbs.goal.words import content_of, present_goals, set_apart
 from tests.histories.swarm import Node, VirtualSwarm
 
 POLL = 0.1  # s

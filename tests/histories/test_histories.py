@@ -19,7 +19,7 @@ from swarmd.core.kernels import describe_kernels
 from swarmd.core.message_limits import SenderLimits
 from swarmd.core.values import Twist
 from swarmd.link import peer
-from swarmd.operator.session.robot_clocks import RobotClocks
+from swarmd.operator.session.clocks import RobotClocks
 from swarmd.robot import state
 from swarmd.robot.actions import Actions
 from swarmd.robot.issue_time import IssueTime

@@ -13,7 +13,7 @@ from swarmd.link.datagram import Ack, Stop
 from swarmd.link.stops.stop_freshness import MAX_ORIGINS, REPLAYED, SLACK, StopFreshness
 from swarmd.link.stops.stop_relay import StopRelay
 from swarmd.operator.session.discovery import Discovery
-from swarmd.operator.session.stop_sender import ORIGIN_FILE, PendingStop, StopOrigin
+from swarmd.operator.session.senders import ORIGIN_FILE, PendingStop, StopOrigin
 
 HOME, LAB = b"home", b"lab!"
 FAR = ("10.0.0.9", 7440)

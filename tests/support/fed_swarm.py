@@ -36,8 +36,7 @@ from swarmd.core.verbs import AnyRequest, RunRequest
 from swarmd.driver_api.hw_codec import encode_scan
 from swarmd.link.settings import NetworkSettings
 from swarmd.operator.cli.web import WebOptions, serve
-from swarmd.operator.session.dials import Dials
-from swarmd.operator.session.members_view import MembersView, SeenMember
+from swarmd.operator.session.members_view import Dials, MembersView, SeenMember
 from swarmd.operator.session.outcome import Outcome
 from swarmd.operator.view.commander import LiveCommander
 from swarmd.operator.view.live import LiveSource

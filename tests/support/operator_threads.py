@@ -5,8 +5,8 @@ from __future__ import annotations
 import threading
 
 from swarmd.operator.client.hand_over import HAND_OVER
-from swarmd.operator.client.swarm_watch import LOOKING
-from swarmd.operator.session.roster_follower import CLOSING
+from swarmd.operator.session.looks import LOOKING
+from swarmd.operator.session.roster import CLOSING
 
 
 def is_closing() -> bool:

@@ -36,7 +36,7 @@ MODULES = (
         "swarmd.operator.cli.swarmctl",
         "swarmd.operator.cli.send",
         "swarmd.operator.verbs.run.command",
-        "swarmd.operator.cli.members",
+        "swarmd.operator.verbs.members.command",
     ),
     "swarmd.operator.session.operator",
 )

@@ -43,8 +43,8 @@ from swarmd.link.keys.roster import Role
 from swarmd.link.keys.roster_change import SharedRoster
 from swarmd.link.signature import Author, Signer
 from swarmd.link.spread.pull import _answer
-from swarmd.operator.session.operator_goals import sign_goal
 from swarmd.operator.session.outcome import Outcome
+from swarmd.operator.session.session import sign_goal
 from tests.support.keys import flipped
 from tests.support.processes import free_port, wait_until
 from tests.support.secured_swarm import SecuredSwarm

@@ -17,8 +17,8 @@ from swarmd.core import codec
 from swarmd.core.clock import boottime
 from swarmd.core.messages import Reason, State, Status
 from swarmd.core.values import Value
-from swarmd.operator.session.dials import Dials
 from swarmd.operator.session.exit_codes import UNREACHABLE
+from swarmd.operator.session.members_view import Dials
 from swarmd.operator.session.operator import Operator
 from tests.support import earlier_version
 from tests.support.keys import SwarmKeys

@@ -3,7 +3,7 @@
 Only secured swarms use this module. A signed `RunLease` that an attacker has recorded keeps its
 valid signature for ever, and a robot that joins late or restarts does not know which counts its
 operator has sent. So the operator writes into the lease of each robot what the clock of this robot
-showed at the least when the lease was sent (`operator/session/robot_clocks.py`), with the instance
+showed at the least when the lease was sent (`operator/session/clocks.py`), with the instance
 of the robot, which is one life (start to end) of its daemon.
 
 1. A lease counts from the time that it states on the robot's own clock, not from its arrival. So a

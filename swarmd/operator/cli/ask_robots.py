@@ -10,7 +10,7 @@ from msgspec import Struct
 
 from swarmd.operator.cli.output import warn
 from swarmd.operator.cli.send import session_of
-from swarmd.operator.session import ask_robots as client
+from swarmd.operator.session import session as client
 from swarmd.operator.session.exit_codes import code_of_answers
 
 if TYPE_CHECKING:

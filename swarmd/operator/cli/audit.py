@@ -14,7 +14,7 @@ from swarmd.operator.cli.options import CommonOptions, Duration, common_options
 from swarmd.operator.cli.output import fields, print_json, print_table, warn
 from swarmd.operator.cli.send import known_members
 from swarmd.operator.cli.targets import takes_targets
-from swarmd.operator.session.ask_robots import in_reach
+from swarmd.operator.session.session import in_reach
 from swarmd.operator.session.targets import Targets, robots_of
 from swarmd.operator.texts.values import NOTHING
 

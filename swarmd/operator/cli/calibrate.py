@@ -16,9 +16,10 @@ from swarmd.core.messages import State, Status
 from swarmd.core.verbs import ResetRequest
 from swarmd.operator.cli import completion
 from swarmd.operator.cli.consent import has_terminal
-from swarmd.operator.cli.dialogue import GivenYes, Talk, Terminal
+from swarmd.operator.cli.dialogue import GivenYes, Terminal, sessions_of
 from swarmd.operator.cli.options import FILE, CommonOptions, Failure, common_options
 from swarmd.operator.cli.output import print_json, signals_end, warn
+from swarmd.operator.cli.send import session_of
 from swarmd.operator.session.exit_codes import FAILED, REFUSED
 
 if TYPE_CHECKING:
@@ -27,8 +28,8 @@ if TYPE_CHECKING:
     from swarmd.core.values import Platform
     from swarmd.operator.acceptance.verdict import Verdict
     from swarmd.operator.calibration.figures import Figure
-    from swarmd.operator.cli.acceptance_robot import TestedRobot
     from swarmd.operator.session.operator import Operator
+    from swarmd.operator.verbs.acceptance.tested_robot import TestedRobot
 
 
 @click.command()
@@ -81,15 +82,17 @@ def calibrate(
             " check that the floor is free, and add --yes"
         )
     _check_file(write)
-    from swarmd.operator.cli.acceptance_robot import TestedRobot, status_of
+    from swarmd.operator.verbs.acceptance.ask import status_of
+    from swarmd.operator.verbs.acceptance.tested_robot import TestedRobot
 
     with (
         signals_end(),
         options.operator() as operator,
         tempfile.TemporaryDirectory() as folder,
-        TestedRobot(options, robot, Path(folder), None) as tested,
+        sessions_of(options) as sessions,
+        TestedRobot(sessions, robot, Path(folder)) as tested,
     ):
-        status = status_of(options, operator, robot)
+        status = status_of(session_of(options, operator), robot)
         if status.state not in (State.IDLE, State.STOPPED):
             activity = f"runs {status.pattern}" if status.pattern else f"is {status.state}"
             text = f"{robot} {activity}; nothing was sent; it must be idle or stopped"
@@ -119,6 +122,7 @@ def _ask_and_drive(
     from swarmd.operator.acceptance.step import Work
     from swarmd.operator.acceptance.steps import calibration_step
     from swarmd.operator.calibration.floor import needed_floor
+    from swarmd.operator.verbs.acceptance.talk import Talk
     from swarmd.settings.platforms import load_platform, platform_names
 
     name = status.platform

@@ -42,7 +42,7 @@ def completion(shell: str) -> None:
 
 def robots(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[str]:
     """The robots of the swarm that the line names, less those that it has already."""
-    from swarmd.operator.session.known_robots import known_names
+    from swarmd.operator.session.targets import known_names
 
     given = ctx.params.get(param.name or "") or ()
     with _options(ctx).operator() as operator:
@@ -52,7 +52,7 @@ def robots(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[
 
 def labels(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[str]:
     """The labels of robots that the last looks at the swarm have found."""
-    from swarmd.operator.session.known_robots import known_labels
+    from swarmd.operator.session.targets import known_labels
 
     given = ctx.params.get(param.name or "") or ()
     with _options(ctx).operator() as operator:

@@ -1,4 +1,7 @@
-"""Carries out a dialogue on a terminal: the one way in which a person is asked for motion."""
+"""The person of a dialogue at a terminal, and a consent that was given with the command.
+
+`Talk` of `swarmd/operator/verbs/acceptance/talk.py` asks them before each motion.
+"""
 
 from __future__ import annotations
 
@@ -9,165 +12,27 @@ import termios
 import textwrap
 import time
 import tty
-from collections.abc import Sequence
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from swarmd.core.clock import boottime
 from swarmd.operator.cli.output import rewrite, terminal_width
-from swarmd.operator.client.input_watch import TOO_LATE, InputWatch
+from swarmd.operator.session.clocks import TOO_LATE, InputWatch
 from swarmd.operator.texts.values import printable
 
 if TYPE_CHECKING:
-    from swarmd.operator.acceptance.dialogue import Action, Dialogue, Input
-    from swarmd.operator.acceptance.step import Step
-    from swarmd.operator.acceptance.verdict import Verdict
-    from swarmd.operator.cli.acceptance import Results
-    from swarmd.operator.cli.acceptance_robot import TestedRobot
+    from swarmd.operator.acceptance.dialogue import Input
+    from swarmd.operator.cli.options import CommonOptions
+    from swarmd.operator.verbs.acceptance.talk import Question
+    from swarmd.operator.verbs.acceptance.tested_robot import Sessions
 
-_PERIOD = 0.05  # s between two looks at the keyboard and at the robot
 _WIDEST = 78  # columns of a line
 _YES_AFTER = 2.5  # s from a question to a yes that was given before: the robot must be seen at rest
 _YES_TIMES = 2  # questions that are answered by it: a robot refuses a start that is 8 s old
-
-
-class Talk:
-    """Carries out the actions of a dialogue on a terminal.
-
-    `results` keeps the verdicts on the disk; None: they stay in the dialogue.
-    """
-
-    def __init__(
-        self,
-        dialogue: Dialogue,
-        robot: TestedRobot,
-        keyboard: Terminal | GivenYes,
-        results: Results | None = None,
-    ) -> None:
-        self._dialogue = dialogue
-        self._robot = robot
-        self._keyboard = keyboard
-        self._results = results
-        self._end = ""
-        self._doing = ""  # what the robot says that it does
-        self._told = ""  # the line of progress that is shown
-
-    def run(self) -> None:
-        """Talk until the dialogue ends; Ctrl-C, signals and errors stop a robot that may move."""
-        from swarmd.operator.acceptance.dialogue import Closed, Stop, Tick
-
-        self._carry_out(self._dialogue.begin(time.monotonic()))
-        try:
-            while not self._end:
-                self._take(self._keyboard.read(self._is_asked, _PERIOD))
-                while not self._robot.inputs.empty():
-                    self._take(self._robot.inputs.get())
-                self._take(Tick())
-                self._robot.check()
-                self._tell_progress()
-        except (KeyboardInterrupt, SystemExit):
-            pass
-        finally:
-            # Stops a robot that may move, after any error.
-            last_actions = self._dialogue.take(Closed(), time.monotonic())
-            self._carry_out(last_actions)
-            self._keyboard.close()
-            answer = self._robot.wait_for_stop()
-            if Stop() in last_actions:
-                self._say(answer)
-
-    @property
-    def _is_asked(self) -> bool:
-        return self._dialogue.phase == "asked"
-
-    def _take(self, input: Input | None) -> None:
-        from swarmd.operator.acceptance.dialogue import Sight
-
-        if isinstance(input, Sight):
-            self._doing = input.text
-        if input is not None:
-            self._carry_out(self._dialogue.take(input, time.monotonic()))
-
-    def _carry_out(self, actions: Sequence[Action]) -> None:
-        from swarmd.operator.acceptance import dialogue
-
-        for action in actions:
-            match action:
-                case dialogue.Ask(step=step):
-                    self._ask(step)
-                case dialogue.Tell(text=text):
-                    self._say(text)
-                case dialogue.Begin(step=step):
-                    if not step.is_asked:
-                        self._head(step)
-                    self._begin(step)
-                case dialogue.Bring(end=end):
-                    self._robot.bring(end)
-                case dialogue.Stop():
-                    self._robot.stop()
-                case dialogue.Judge(step=step):
-                    self._robot.judge(step, self._dialogue.verdicts)
-                case dialogue.Keep(step=step, verdict=verdict):
-                    self._keep(step, verdict)
-                case dialogue.Finish(text=text, is_whole=is_whole):
-                    self._finish(text, is_whole)
-
-    def _head(self, step: Step) -> None:
-        left = round(self._dialogue.seconds_left / 60.0)
-        self._say(f"\n{step.id} {step.name} ({self._dialogue.place}, {left} min left)")
-        self._say(step.why, "  ")
-
-    def _begin(self, step: Step) -> None:
-        """Begin a step, unless a pass that it needs is not of the last day any more."""
-        if self._results is not None and (old := self._results.outdated(step)):
-            from swarmd.operator.acceptance.dialogue import Refused
-
-            why = f"the pass of {old} is not of the last day: the same command asks it again"
-            self._robot.inputs.put(Refused(why))
-            return
-        self._robot.begin(step, self._keyboard.said_at)
-
-    def _ask(self, step: Step) -> None:
-        self._head(step)
-        self._say(step.prepare, "  ")
-        if step.motion is not None:
-            self._say(f"MOVES: {step.motion.text}; {self._keyboard.stop} stops it.", "  ")
-        self._say(f"{step.question or 'Ready?'} [y/N]", "  ")
-        self._keyboard.discard()
-
-    def _tell_progress(self) -> None:
-        """Show the line of progress when it changes, unless a question is open."""
-        if self._is_asked or self._end:
-            return
-        words = {"measuring": "measures", "moving": "MOVES", "resting": "waits for rest"}
-        word = words.get(self._dialogue.phase, "judges")
-        doing = f": {self._doing}" if self._doing else ""
-        line = f"  {word}{doing}; {self._keyboard.stop} ends it"
-        if line != self._told:
-            rewrite(line)
-            self._told = line
-
-    def _keep(self, step: Step, verdict: Verdict) -> None:
-        """Keep the verdict of a step, and show it."""
-        if self._results is not None:
-            self._results.keep(step, verdict)
-        bound = f" (bound {verdict.bound})" if verdict.bound else ""
-        figure = f" {verdict.figure}{bound}:" if verdict.figure else ""
-        self._say(f"{step.id} {verdict.result.upper()}{figure} {verdict.reason}", "  ")
-
-    def _finish(self, text: str, is_whole: bool) -> None:
-        self._end = text
-        if self._results is not None:
-            self._results.end(is_whole=is_whole)
-        if not is_whole:
-            self._say(f"\n{text}")
-
-    def _say(self, text: str, indent: str = "") -> None:
-        """Replace the line of progress by a text."""
-        rewrite("")
-        self._told = ""
-        say(text, indent, err=True)
 
 
 class GivenYes:
@@ -188,6 +53,19 @@ class GivenYes:
         if not gives_lines or time.monotonic() - self._asked_at < _YES_AFTER:
             return None
         return Line(self._answers.pop() if self._answers else "n")
+
+    def ask(self, question: Question) -> None:
+        """Show a question."""
+        _show(question)
+        self.discard()
+
+    def tell(self, text: str, indent: str = "") -> None:
+        """Show a text."""
+        _tell(text, indent)
+
+    def progress(self, line: str) -> None:
+        """Show what the test does now."""
+        rewrite(f"  {line}")
 
     def discard(self) -> None:
         """Note that a question was asked."""
@@ -245,6 +123,19 @@ class Terminal:
             return None
         return Line(data.decode(errors="replace")) if gives_lines else Key()
 
+    def ask(self, question: Question) -> None:
+        """Show a question; what was typed before now is discarded."""
+        _show(question)
+        self.discard()
+
+    def tell(self, text: str, indent: str = "") -> None:
+        """Show a text in place of the line of progress."""
+        _tell(text, indent)
+
+    def progress(self, line: str) -> None:
+        """Show what the test does now."""
+        rewrite(f"  {line}")
+
     def discard(self) -> None:
         """Discard what was typed before now."""
         termios.tcflush(self._descriptor, termios.TCIFLUSH)
@@ -252,6 +143,28 @@ class Terminal:
     def close(self) -> None:
         """The terminal as it was; what was typed is discarded."""
         termios.tcsetattr(self._descriptor, termios.TCSAFLUSH, self._before)
+
+
+@contextmanager
+def sessions_of(options: CommonOptions) -> Iterator[Sessions]:
+    """Sessions with the robots of these options, without lines for the user about each look."""
+    from swarmd.operator.client.operator_pool import OperatorPool
+    from swarmd.operator.client.swarm import Swarm
+
+    with Swarm(OperatorPool(partial(options.operator, lambda text: None))) as swarm:
+        yield swarm._sessions
+
+
+def _show(question: Question) -> None:
+    _tell(f"\n{question.head}")
+    for line in (question.why, question.prepare, question.moves, question.asks):
+        _tell(line, "  ")
+
+
+def _tell(text: str, indent: str = "") -> None:
+    """Replace the line of progress by a text."""
+    rewrite("")
+    say(text, indent, err=True)
 
 
 def say(text: str, indent: str = "", *, err: bool = False) -> None:

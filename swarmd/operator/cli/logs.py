@@ -20,8 +20,7 @@ from swarmd.operator.cli.options import CommonOptions, common_options
 from swarmd.operator.cli.output import has_colour, print_json, signals_end, warn
 from swarmd.operator.cli.send import known_members
 from swarmd.operator.cli.targets import takes_targets
-from swarmd.operator.session.ask_robots import MAX_ANSWER, in_reach
-from swarmd.operator.session.session import gap
+from swarmd.operator.session.session import MAX_ANSWER, gap, in_reach
 from swarmd.operator.session.targets import Targets, robots_of
 from swarmd.operator.texts.values import printable
 

@@ -13,8 +13,8 @@ import click
 from swarmd.core.messages import Code
 from swarmd.core.refusal import Refusal
 from swarmd.operator.cli.output import fields, print_json, print_table, warn
-from swarmd.operator.session.dials import Dials
 from swarmd.operator.session.exit_codes import code_of_answers
+from swarmd.operator.session.members_view import Dials
 from swarmd.operator.session.outcome import Outcome
 from swarmd.operator.session.session import Session, TargetedView
 from swarmd.operator.texts.values import NOTHING

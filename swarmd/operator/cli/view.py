@@ -72,7 +72,7 @@ def _live(
     child process describes the patterns, for views that can start a run.
     """
     from swarmd.operator.cli.plugin_check import describe_patterns
-    from swarmd.operator.session.known_robots import remember
+    from swarmd.operator.session.targets import remember
     from swarmd.operator.view.commander import LiveCommander
     from swarmd.operator.view.live import LiveSource
 

@@ -74,9 +74,10 @@ class AsyncSwarm:
     `goal`, `incidents`, `params`, `frame`) take turns. SwarmError if 8 requests are under way.
 
     A cancelled task no longer waits, but robots may have applied its request. The cancellation also
-    ends five methods: a `wait`; a run with a canary, whose canaries are stopped; a run `at` a later
+    ends six methods: a `wait`; a run with a canary, whose canaries are stopped; a run `at` a later
     moment, whose robots are stopped before they start; a push with a canary, whose other robots get
-    nothing; and a `fetch_incident`, whose next call continues.
+    nothing; a `fetch_incident`, whose next call continues; and an `acceptance`, whose robot is
+    stopped. Its function `answer` runs on a thread.
     """
 
     def __init__(self, swarm: Swarm) -> None:
@@ -100,6 +101,7 @@ class AsyncSwarm:
     mark = _awaited(Swarm.mark)
     fetch_incident = _awaited(Swarm.fetch_incident)
     push = _awaited(Swarm.push)
+    acceptance = _awaited(Swarm.acceptance)
     resume = _awaited(Swarm.resume)
     undo = _awaited(Swarm.undo)
     wait = _awaited(Swarm.wait)

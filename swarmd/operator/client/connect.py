@@ -28,7 +28,7 @@ from swarmd.operator.client.loop_life import LoopLife
 from swarmd.operator.client.network_options import NetworkOptions
 from swarmd.operator.client.operator_pool import OperatorPool
 from swarmd.operator.client.swarm import Places, Swarm, Tell
-from swarmd.operator.session.arguments import check_time, check_words
+from swarmd.operator.session.targets import check_time, check_words
 
 if TYPE_CHECKING:
     from swarmd.operator.client.async_swarm import AsyncSwarm

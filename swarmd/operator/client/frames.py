@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 from msgspec.structs import asdict
 
 from swarmd.core.errors import ConfigError
-from swarmd.operator.client.states import RobotState
+from swarmd.operator.session.looks import RobotState
 from swarmd.plugins import need
 
 if TYPE_CHECKING:
-    from swarmd.operator.client.members import Members
+    from swarmd.operator.verbs.members.ask import Members
 
 
 def states_frame(states: Iterable[RobotState]) -> Any:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
@@ -14,22 +14,32 @@ from swarmd.core.closing import Closing, is_program_on
 from swarmd.core.errors import ConfigError, ForkedError, RequestError, SwarmError
 from swarmd.core.numbers import python_value
 from swarmd.operator.client.loop_life import LoopLife
-from swarmd.operator.client.members import Description, Members
-from swarmd.operator.client.states import Pose, RobotState, follow_states, read_poses
-from swarmd.operator.session.arguments import Words, check_time, check_words, plain_params
 from swarmd.operator.session.exit_codes import NO_TARGET, TIMEOUT
+from swarmd.operator.session.looks import Pose, RobotState, follow_states, read_poses
 from swarmd.operator.session.session import Session
-from swarmd.operator.session.targets import Targets, make_targets, no_target, robots_of
+from swarmd.operator.session.targets import (
+    Targets,
+    Words,
+    check_time,
+    check_words,
+    make_targets,
+    no_target,
+    plain_params,
+    robots_of,
+)
+from swarmd.operator.verbs.members.ask import Description, Members
 
 if TYPE_CHECKING:
     from swarmd.link.keys.identity import Identity
-    from swarmd.operator.client.event_feed import EventLine
     from swarmd.operator.client.operator_pool import OperatorPool
     from swarmd.operator.session.members_view import MembersView
     from swarmd.operator.session.outcome import Outcome
     from swarmd.operator.texts.assignments import Value
-    from swarmd.operator.texts.goal import Difference
+    from swarmd.operator.verbs.acceptance.ask import Accepted
+    from swarmd.operator.verbs.acceptance.talk import Question
     from swarmd.operator.verbs.drive.ask import Hand
+    from swarmd.operator.verbs.events.feed import EventLine
+    from swarmd.operator.verbs.goal.words import Difference
     from swarmd.operator.verbs.incidents.ask import Incidents, MarkOutcome
     from swarmd.operator.verbs.push.ask import PushOutcome
     from swarmd.operator.verbs.record.ask import Fetched
@@ -121,8 +131,8 @@ class Swarm(Closing):
         timeout: float | None = None,
     ) -> tuple[Difference, ...]:
         """What each robot is to do beside what it does; `is_as_desired` tells whether it does."""
-        from swarmd.operator.session.operator_goals import signed_goals
-        from swarmd.operator.texts.goal import differences
+        from swarmd.operator.session.session import signed_goals
+        from swarmd.operator.verbs.goal.words import differences
 
         targets = _targets(robots, labels, exclude)
         view = signed_goals(*self._look(timeout))
@@ -137,7 +147,7 @@ class Swarm(Closing):
         timeout: float | None = None,
     ) -> dict[str, dict[str, Any]]:
         """The parameters in force on each robot that has answered; empty if no pattern runs."""
-        from swarmd.operator.client.changes import params_of
+        from swarmd.operator.verbs.param.ask import params_of
 
         targets = _targets(robots, labels, exclude)
         view, _ = self._look(timeout)
@@ -157,8 +167,8 @@ class Swarm(Closing):
 
         `since`: s; also events of this time before the call. Each robot keeps its last 10 events.
         """
-        from swarmd.operator.client.event_feed import EventFeed
-        from swarmd.operator.client.events import follow_events
+        from swarmd.operator.verbs.events.ask import follow_events
+        from swarmd.operator.verbs.events.feed import EventFeed
 
         targets = _targets(robots, labels, exclude)
         if since != 0.0:
@@ -304,8 +314,12 @@ class Swarm(Closing):
         """
         if (own := LoopLife.of_caller()) is not None:
             return opened.enter_context(own)
-        of_connection = self._pool.life
-        return None if of_connection is None or of_connection.is_over else of_connection
+        return self._life_of_connection()
+
+    def _life_of_connection(self) -> LoopLife | None:
+        """The loop on which the connection was opened; None without one, or once it is over."""
+        life = self._pool.life
+        return None if life is None or life.is_over else life
 
     def drive(self, robot: str, *, timeout: float | None = None) -> Hand:
         """Take one robot by hand: a run beneath waits, and goes on when the hand releases it.
@@ -403,7 +417,7 @@ class Swarm(Closing):
         timeout: float | None = None,
     ) -> Outcome:
         """Change parameters of running patterns, until the next run."""
-        from swarmd.operator.client.changes import set_params
+        from swarmd.operator.verbs.param.ask import set_params
 
         plain = plain_params(values)
         targets = _targets(robots, labels, exclude)
@@ -423,8 +437,8 @@ class Swarm(Closing):
         timeout: float | None = None,
     ) -> Outcome:
         """Give robots labels, and take others away: `"+red -blue"`."""
-        from swarmd.operator.client.changes import change_labels
-        from swarmd.operator.texts.labels import read_changes
+        from swarmd.operator.verbs.label.ask import change_labels
+        from swarmd.operator.verbs.label.words import read_changes
 
         words = changes.split() if isinstance(changes, str) else check_words(changes, "changes")
         added, removed = read_changes(words)
@@ -491,6 +505,53 @@ class Swarm(Closing):
         with self._session(timeout, is_request=True) as session:
             return push_to(push, session.target(targets, needs_status=False), targets)
 
+    def acceptance(
+        self,
+        robot: str,
+        rows: Words | None = None,
+        *,
+        answer: Callable[[Question], str],
+        folder: str | Path | None = None,
+        timeout: float | None = None,
+    ) -> Accepted:
+        """Carry out rows of the acceptance test on one robot, with the answers of a person.
+
+        `rows`: a part or step, such as "A" or "B1", or several; None: all. `answer` gets each
+        `Question` and returns what the person says: `y`, `n`, `q`, or the number of a step. Show
+        the person `question.text`: it says what to prepare and what moves, how far, how fast and
+        for how long. A robot moves only after a `y` to the question of this motion, as with
+        `swarmctl acceptance`; a `y` within 0.7 s does not count. Ctrl-C, an error of `answer`, and
+        a stop from anywhere end the motion. `folder`: where the results gather, by default
+        acceptance-ROBOT; a test in it goes on. `timeout`: for the first answer of the robot.
+
+        The result has the `verdicts` by step, `record` and `file`. Raises ConfigError for a row
+        that is no step, for an answer that is no text, and for a folder with the results of another
+        robot; RequestError if the robot is not known or does not answer.
+        """
+        from swarmd.operator.verbs.acceptance.ask import accept_by, status_of
+
+        if not isinstance(robot, str) or not robot:
+            raise ConfigError(f"robot is {robot!r}; expected the name of a robot")
+        if not callable(answer):
+            raise ConfigError(f"answer is {answer!r}; expected a function of a question")
+        if folder is not None and not isinstance(folder, str | Path):
+            raise ConfigError(f"folder is {folder!r}; expected a path")
+        words = () if rows is None else check_words(rows, "rows")
+        if rows is not None and not words:
+            raise ConfigError("the list of rows is empty; expected such as 'B1', or None for all")
+        with self._session(timeout) as session:
+            status_of(session, robot)
+            is_cancelled = session.is_cancelled
+        return accept_by(
+            answer,
+            self._sessions,
+            robot,
+            words,
+            Path(f"acceptance-{robot}" if folder is None else folder),
+            is_cancelled=is_cancelled,
+            tell=self._tell,
+        )
+
     def resume(
         self,
         robots: Words | None = None,
@@ -500,7 +561,7 @@ class Swarm(Closing):
         timeout: float | None = None,
     ) -> Outcome:
         """Let robots run the goal that they were offered, or whose run has ended."""
-        from swarmd.operator.client.goals import resume_on
+        from swarmd.operator.verbs.goal.ask import resume_on
 
         targets = _targets(robots, labels, exclude)
         with self._session(timeout, is_request=True) as session:
@@ -511,7 +572,7 @@ class Swarm(Closing):
 
     def undo(self, *, timeout: float | None = None) -> Outcome:
         """Set the goal before the present one again; robots run it at once."""
-        from swarmd.operator.client.goals import undo
+        from swarmd.operator.verbs.goal.ask import undo
 
         with self._session(timeout, is_request=True) as session:
             return undo(session)
@@ -533,8 +594,8 @@ class Swarm(Closing):
         exit code 5 after the timeout; its text names each robot that does not meet the
         conditions.
         """
-        from swarmd.operator.client.waits import wait_for
-        from swarmd.operator.texts.awaited import read_awaited
+        from swarmd.operator.verbs.wait.ask import wait_for
+        from swarmd.operator.verbs.wait.words import read_awaited
 
         words = check_words(conditions, "conditions")
         targets = _targets(robots, labels, exclude)
@@ -587,9 +648,26 @@ class Swarm(Closing):
             places=self._places,
             cancelled=cancelled,
         )
-        one._parents = (self._cancelled,)
+        one._parents = (self._cancelled, *self._parents)
         one._began = boottime() if began is None else began
         return one
+
+    def _sessions(
+        self,
+        *,
+        cancelled: threading.Event | None = None,
+        began: float | None = None,
+        is_stop: bool = False,
+    ) -> AbstractContextManager[Session]:
+        """A session of a call that opens several, without lines for the user.
+
+        See `Sessions` of `swarmd/operator/verbs/acceptance/tested_robot.py`. It is cancelled with
+        the call, unless it `is_stop`.
+        """
+        one = Swarm(self._pool_of_parent, cancelled=cancelled)
+        one._parents = () if is_stop else (self._cancelled, *self._parents)
+        one._began = began
+        return one._session(None, is_stop=is_stop, life=self._life_of_connection())
 
     @contextmanager
     def _session(

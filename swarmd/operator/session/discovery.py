@@ -1,8 +1,8 @@
 """The query of an operator for all members of a swarm (a look). Pure: datagrams and times in.
 
 A look combines four sources: beacons that the operator hears (`membership.py`), the reports of
-robots on other robots (`member_reports.py`), the robots' own statuses by datagram
-(`status_parts.py`) or by Zenoh (`seen_member.py`), and rosters. A look is complete once every
+robots on other robots, the robots' own statuses by datagram or by Zenoh (`member_reports.py`), and
+rosters. A look is complete once every
 expected robot has answered, and one of two conditions holds: the answers agree on the members, or
 nothing new has come for `quiet_time`.
 A look in which a robot does not answer ends after a time that follows from the measured round trip
@@ -20,26 +20,25 @@ from swarmd.core.messages import PeerView, Presence, Status, StatusHeader
 from swarmd.core.record import RecordKind, generation_of
 from swarmd.link.datagram import Address, Beacon, MemberList, StatusPart
 from swarmd.link.members.membership import MAX_MEMBERS, Change, Membership
+from swarmd.operator.session.clocks import QUIET_TIME, RoundTrips
 from swarmd.operator.session.member_reports import (
     EARLIER,
     FRESH_TIME,
+    INDIRECT_TIME,
     LIST,
     VIEW,
     MemberReports,
     PeerReport,
-    most_certain,
-    reports_of_view,
-)
-from swarmd.operator.session.members_view import Contact, MembersView, SeenMember
-from swarmd.operator.session.round_trips import QUIET_TIME, RoundTrips
-from swarmd.operator.session.seen_member import (
-    INDIRECT_TIME,
     StatusAnswer,
+    StatusParts,
     StatusTable,
+    decode_status,
+    most_certain,
     present_member,
+    reports_of_view,
     silent_member,
 )
-from swarmd.operator.session.status_parts import StatusParts, decode_status
+from swarmd.operator.session.members_view import Contact, MembersView, SeenMember
 
 MAX_COPIES = 128  # unicast copies of one datagram: false reports may name many addresses
 MAX_INDIRECT_DIALS = 64  # robots dialled at a time that only other robots report

@@ -1,16 +1,39 @@
-"""What robots report of other robots to an operator, by member lists and by views. Pure."""
+"""What robots tell a look of themselves and of others. Pure.
+
+- `MemberReports`: what robots report of other robots, by member lists and by views.
+- `StatusParts`: the statuses that robots tell by datagram. A robot that tells its status announces
+  the number of parts in the beacon that answers the solicit (`Beacon.status_parts`), and sends the
+  parts after it. A robot of an earlier version, of a secured swarm, or with a long status announces
+  none: its status is asked for on a link. So is that of a robot whose parts do not arrive within a
+  time.
+- `StatusTable`: the statuses with which robots answered. A `SeenMember` is made from a robot's
+  beacons, its status and the reports of other robots.
+"""
 
 from __future__ import annotations
 
 import ipaddress
-from collections.abc import Iterable, Mapping
-from functools import lru_cache
+from collections.abc import Collection, Iterable, Iterator, KeysView, Mapping
+from functools import cache, lru_cache
 
 from msgspec import Struct
 
-from swarmd.core.messages import PeerView, Presence
-from swarmd.link.datagram import PRESENCES, Address, MemberList, MemberReport
-from swarmd.link.members.membership import MAX_INSTANCES
+from swarmd.core import codec
+from swarmd.core.bounds import keep_newest
+from swarmd.core.codec import Decoder, version_of
+from swarmd.core.messages import Epoch, Member, PeerView, Presence, Status, StatusHeader
+from swarmd.link.datagram import (
+    PRESENCES,
+    STATES,
+    Address,
+    Beacon,
+    MemberList,
+    MemberReport,
+    StatusPart,
+)
+from swarmd.link.members.membership import MAX_INSTANCES, MAX_MEMBERS, Life
+from swarmd.operator.session.clocks import MOST_INSTANCES
+from swarmd.operator.session.members_view import Contact, SeenMember
 
 FRESH_TIME = 3.0  # s for which a beacon counts, and a report of a beacon
 MAX_PARTIAL_LISTS = 4  # lists of one robot, with missing parts, that are kept
@@ -251,3 +274,268 @@ def _has_all(parts: Mapping[tuple[int, int], tuple[MemberList, float]], echo: in
     """True if all parts of the answer to the solicit with this echo have come."""
     answer = [word for (number, _), (word, _) in parts.items() if number == echo]
     return bool(answer) and len(answer) >= answer[0].parts
+
+
+# How long a look waits for the datagrams of a status before it dials the robot: s, and round trips.
+PARTS_WAIT = 0.3
+PARTS_TRIPS = 4.0
+# A robot is asked again after these s, or after this number of round trips if that is longer.
+ASK_PERIOD = 0.1
+ASK_TRIPS = 1.5
+
+Instance = tuple[str, str]
+"""A robot, and one life of its daemon in hex."""
+
+
+class StatusParts:
+    """The parts that came of each instance, and which instances tell none."""
+
+    def __init__(self) -> None:
+        self._asked: set[int] = set()  # the numbers of the solicits that asked for statuses
+        self._asked_at: dict[Instance, float] = {}
+        # By robot and instance: the parts of the answer to the last solicit that it answered.
+        self._parts: dict[str, dict[str, dict[int, StatusPart]]] = {}
+        self.refusing: dict[Instance, None] = {}
+        """The instances whose last answer announced no parts: they are asked on a link."""
+
+    @property
+    def has_asked(self) -> bool:
+        """True once a solicit has asked for statuses."""
+        return bool(self._asked)
+
+    def on_asked(self, echo: int) -> None:
+        """Note that the solicit with this number asks for statuses."""
+        self._asked.add(echo)
+
+    def is_ask_due(self, instance: Instance, now: float, round_trip: float) -> bool:
+        """True if an instance is to be asked again now; the call notes that it is."""
+        period = max(ASK_PERIOD, ASK_TRIPS * round_trip)
+        if instance in self.refusing or now - self._asked_at.get(instance, now - period) < period:
+            return False
+        keep_newest(self._asked_at, instance, now, MOST_INSTANCES)
+        return True
+
+    def on_beacon(self, beacon: Beacon, now: float) -> None:
+        """Note what an answer announces; the beacon of an instance that is heard."""
+        if beacon.echo not in self._asked:
+            return
+        instance = (beacon.robot, beacon.instance.hex())
+        if instance not in self._asked_at:
+            keep_newest(self._asked_at, instance, now, MOST_INSTANCES)
+        if beacon.status_parts:
+            self.refusing.pop(instance, None)
+        else:
+            keep_newest(self.refusing, instance, None, MOST_INSTANCES)
+
+    def add(self, part: StatusPart) -> bytes | None:
+        """Keep a part; the encoded status once all parts of one answer have come.
+
+        The parts of the last solicit that was answered are kept: a status is never put together of
+        two answers. A part that answers no solicit of this look is dropped.
+        """
+        if part.echo not in self._asked or part.part >= part.parts:
+            return None
+        if part.robot not in self._parts and len(self._parts) >= MAX_MEMBERS:
+            return None
+        instances = self._parts.setdefault(part.robot, {})
+        instance = part.instance.hex()
+        if instance not in instances and len(instances) >= MAX_INSTANCES:
+            return None
+        parts = instances.setdefault(instance, {})
+        known = next(iter(parts.values()), part)
+        if part.echo < known.echo:
+            return None
+        if part.echo > known.echo or part.parts != known.parts:
+            parts.clear()
+        parts[part.part] = part
+        if len(parts) < part.parts:
+            return None
+        content = b"".join(parts[number].content for number in range(part.parts))
+        parts.clear()
+        return content
+
+    @staticmethod
+    def wait(round_trip: float) -> float:
+        """How many s after a robot became known its status is asked for on a link."""
+        return PARTS_WAIT + PARTS_TRIPS * round_trip
+
+
+def decode_status(content: bytes) -> Status | StatusHeader:
+    """An encoded status; of another version its header. CodecError if it cannot be read."""
+    if version_of(content) == codec.VERSION:
+        return _status_decoder()(content)
+    return _header_decoder()(content)
+
+
+# Made at the first status: most verbs read none.
+@cache
+def _status_decoder() -> Decoder[Status]:
+    return Decoder(Status)
+
+
+@cache
+def _header_decoder() -> Decoder[StatusHeader]:
+    return Decoder(StatusHeader, any_version=True)
+
+
+class StatusAnswer(Struct, frozen=True):
+    """The answer of a robot to a query of its status."""
+
+    status: Status | StatusHeader  # a header from a robot of another version
+    members: tuple[Member, ...]  # the members as the robot sees them
+    at: float  # when the status came, in s
+
+
+class StatusTable:
+    """The newest answer of each instance."""
+
+    def __init__(self) -> None:
+        self._answers: dict[str, dict[str, StatusAnswer]] = {}
+
+    def add(self, robot: str, answer: StatusAnswer) -> bool:
+        """Keep an answer; True if it is the first answer of its instance."""
+        known = self._answers.setdefault(robot, {})
+        instance = answer.status.instance
+        is_new = instance not in known
+        if not is_new or len(known) < MAX_INSTANCES:
+            known[instance] = answer
+            return is_new
+        return False
+
+    def drop(self, robot: str, instance: str) -> None:
+        """Drop the answer of an instance that left."""
+        self._answers.get(robot, {}).pop(instance, None)
+
+    @property
+    def robots(self) -> KeysView[str]:
+        """The robots of which an instance has answered, whether or not that instance left."""
+        return self._answers.keys()
+
+    def instances(self, robot: str) -> Mapping[str, StatusAnswer]:
+        """The answers of the instances of a robot that did not leave."""
+        return self._answers.get(robot, {})
+
+    def newest(self, robot: str, living: Collection[str]) -> StatusAnswer | None:
+        """The newest answer of a robot; only of instances in `living`, unless that is empty."""
+        answers = self.instances(robot).values()
+        counted = [answer for answer in answers if not living or answer.status.instance in living]
+        return max(counted, key=lambda answer: answer.at, default=None)
+
+    def statuses(self) -> Iterator[tuple[str, Status, tuple[Member, ...]]]:
+        """The robot, the status and the members of each answer of this version."""
+        for robot, answers in self._answers.items():
+            for answer in answers.values():
+                if isinstance(answer.status, Status):
+                    yield robot, answer.status, answer.members
+
+    def agree(self, robots: Collection[str]) -> bool:
+        """True if at least two robots answered, and each lists all of `robots` as alive."""
+        views = [(robot, members) for robot, _, members in self.statuses()]
+        if len(robots) < 2 or len(views) < 2:
+            return False
+        return all(
+            set(robots)
+            <= {robot} | {member.robot for member in members if member.presence is Presence.ALIVE}
+            for robot, members in views
+        )
+
+
+INDIRECT_TIME = 10.0  # s for which a robot that only other robots heard counts as alive
+
+
+def present_member(
+    robot: str, heard: Life | None, answer: StatusAnswer | None, now: float
+) -> SeenMember:
+    """The member `robot`, which is heard or has answered, at `now` in s.
+
+    `heard`: the life of the robot whose beacons this operator hears; None without a beacon.
+    `answer`: the robot's answer to a query of its status; None without an answer. Of a robot of
+    another version only the head of the status can be read. Values of the status count before
+    values of the beacon.
+    """
+    if answer is None:
+        return _member_by_beacon(robot, heard, now)
+    status = answer.status
+    beacon = heard.beacon if heard is not None else None
+    is_other_version = isinstance(status, StatusHeader) or _is_other_version(beacon)
+    return SeenMember(
+        robot=robot,
+        instance=status.instance,
+        presence=Presence.ALIVE,
+        age=max(now - answer.at, 0.0),
+        status=status if isinstance(status, Status) else None,
+        contact=Contact.OTHER_VERSION if is_other_version else Contact.ANSWERED,
+        state=status.state,
+        wire=beacon.wire if beacon else None,
+        version=status.version,
+        header=status if isinstance(status, StatusHeader) else None,
+        epoch=status.epoch if isinstance(status, Status) else _epoch_of(beacon),
+    )
+
+
+def _member_by_beacon(robot: str, heard: Life | None, now: float) -> SeenMember:
+    """The member `robot`, which has not answered; `heard`: the life of its newest beacon."""
+    beacon = heard.beacon if heard is not None else None
+    has_known_state = beacon is not None and beacon.state < len(STATES)
+    is_other_version = _is_other_version(beacon)
+    return SeenMember(
+        robot=robot,
+        instance="unknown" if beacon is None else beacon.instance.hex(),
+        presence=Presence.ALIVE,
+        age=0.0 if heard is None else max(now - heard.heard, 0.0),
+        status=None,
+        contact=Contact.OTHER_VERSION if is_other_version else Contact.NO_ANSWER,
+        state=STATES[beacon.state] if beacon is not None and has_known_state else "",
+        wire=beacon.wire if beacon else None,
+        version=heard.version if heard else "",
+        epoch=_epoch_of(beacon),
+    )
+
+
+def _is_other_version(beacon: Beacon | None) -> bool:
+    return beacon is not None and beacon.wire != codec.VERSION
+
+
+def _epoch_of(beacon: Beacon | None) -> Epoch | None:
+    return None if beacon is None else Epoch(beacon.instance.hex(), beacon.revision)
+
+
+def silent_member(
+    robot: str,
+    heard: Life | None,
+    answer: StatusAnswer | None,
+    report: PeerReport | None,
+    now: float,
+) -> SeenMember | None:
+    """The member `robot`, whose beacons do not arrive at this operator now.
+
+    `heard`: the last life (start to end of a daemon) that this operator heard, and that did not
+    leave. `answer`: the last answer to a query of the robot's status. `report`: the most certain
+    report on the robot, by other robots or by its own farewell. Returns None for a robot that was
+    neither heard nor reported.
+
+    1. If the last beacon of the robot reached this operator after the report, the robot has failed.
+    2. A robot that another robot heard within INDIRECT_TIME is alive and unreachable.
+    3. Any other robot that is reported alive has failed.
+    4. Else the robot has left or failed, as reported.
+    """
+    if heard is not None and (report is None or report.at <= heard.heard):
+        report = PeerReport(heard.beacon.instance.hex(), Presence.FAILED, heard.heard)
+    if report is None:
+        return None
+    presence = report.presence
+    contact = Contact.GONE
+    is_recent = now - report.at <= INDIRECT_TIME
+    if presence is Presence.ALIVE and is_recent:
+        contact = Contact.UNREACHABLE
+    elif presence is Presence.ALIVE:
+        presence = Presence.FAILED
+    return SeenMember(
+        robot=robot,
+        instance=report.instance,
+        presence=presence,
+        age=max(now - report.at, 0.0),
+        status=answer.status if answer and isinstance(answer.status, Status) else None,
+        contact=contact,
+        by=report.by,
+    )

@@ -113,3 +113,11 @@ class MembersView(Struct, frozen=True):
         return {
             key: latch for status in statuses if status for key, latch in status.latches.items()
         }
+
+
+class Dials(StrEnum):
+    """Which robots a look dials."""
+
+    ALL = "all"  # a request follows, or what robots publish is watched
+    UNTOLD = "untold"  # those whose status comes by no datagram
+    NONE = "none"  # for a look that needs no status

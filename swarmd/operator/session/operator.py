@@ -9,7 +9,8 @@ Synchronous, without asyncio and numpy, since a command must start fast::
 
 Robots are found, stopped and emergency-stopped by datagrams. Everything else goes by Zenoh, on
 links that the operator dials to the addresses of the robots that it found. Threads of Zenoh and of
-the carrier only put what they receive into tables (`arrivals.py`); the caller's thread waits.
+the carrier only put what they receive into tables (`Arrivals` of `clocks.py`); the caller's thread
+waits.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ import sys
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from functools import partial
-from typing import TYPE_CHECKING, Any, Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
 from msgspec.structs import replace
 
@@ -50,33 +51,36 @@ from swarmd.link.datagram import (
 from swarmd.link.keys.identity import Identity, authority_of
 from swarmd.link.keys.roster import Role
 from swarmd.link.settings import NetworkSettings
-from swarmd.operator.session.arrivals import Arrivals, RepeatTimer
-from swarmd.operator.session.dials import Dials
+from swarmd.operator.session.carriers import (
+    Carrier,
+    OperatorDatagrams,
+    OperatorSessions,
+    endpoint_of,
+)
+from swarmd.operator.session.clocks import Arrivals, LoopWatch, RepeatTimer
 from swarmd.operator.session.discovery import DEV_WAIT, FIRST_ROBOT_TIMEOUT, Discovery
 from swarmd.operator.session.exit_codes import FAILED
-from swarmd.operator.session.loop_watch import LoopWatch
-from swarmd.operator.session.member_search import MemberSearch
-from swarmd.operator.session.members_view import MembersView
-from swarmd.operator.session.operator_datagrams import Carrier, OperatorDatagrams
-from swarmd.operator.session.operator_sessions import OperatorSessions, endpoint_of
-from swarmd.operator.session.operator_text import (
+from swarmd.operator.session.looks import MemberSearch
+from swarmd.operator.session.members_view import Dials, MembersView
+from swarmd.operator.session.outcome import Outcome
+from swarmd.operator.session.roster import OperatorAdmission, RosterFollower
+from swarmd.operator.session.senders import (
+    REQUEST_WAIT,
+    PendingStop,
+    Renew,
+    RequestSender,
+    Select,
+    StopOrigin,
+    StopSender,
+    request_timeout,
+    stood_still,
+)
+from swarmd.operator.session.targets import (
     operator_name,
     request_reason,
     sendable_name,
     stop_reason,
 )
-from swarmd.operator.session.outcome import Outcome
-from swarmd.operator.session.request_sender import (
-    REQUEST_WAIT,
-    RequestSender,
-    request_timeout,
-    stood_still,
-)
-from swarmd.operator.session.roster_follower import RosterFollower
-from swarmd.operator.session.stop_sender import PendingStop, Renew, Select, StopOrigin, StopSender
-
-if TYPE_CHECKING:
-    from swarmd.operator.session.operator_admission import OperatorAdmission
 
 CLOCK_PERIOD = 1.0
 """Seconds between two questions for the clocks of robots, while a lease is renewed: a robot that
@@ -560,8 +564,6 @@ class Operator(Closing):
         return RoutedCarrier(session, settings.swarm, f"operator-{os.urandom(6).hex()}")
 
     def _answers_for(self, identity: Identity) -> OperatorAdmission:
-        from swarmd.operator.session.operator_admission import OperatorAdmission
-
         rosters = self._rosters
         lease = self.settings.lease_seconds
         return OperatorAdmission(identity, lease, rosters.on_shown, rosters.on_missing_key)

@@ -1,22 +1,43 @@
-"""The targets of an operator's request: names, globs and labels, and the robots that they match.
+"""What a caller gives to a verb: targets, times, words, parameters, and who asks.
 
-`targets_of` gives the robots that must answer. Labels are known only from statuses.
+- `Targets` of a request: names, globs and labels, and the robots that they match. `targets_of`
+  gives the robots that must answer. Labels are known only from statuses.
+- `check_time`, `check_words` and `plain_params` check and convert arguments of methods.
+- `remember` and `remembered` keep names and labels of robots, for the completion of command lines.
+- `operator_name` and the reasons of requests are shortened so that requests and datagrams can carry
+  them. A stop must not fail because of its reason: a text that is too long is cut, and a character
+  without an encoding in UTF-8 is replaced.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+import contextlib
+import getpass
+import json
+import math
+import os
+import socket
+import time
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
-from typing import TYPE_CHECKING
+from numbers import Integral, Real
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 from swarmd.core.errors import ConfigError, RequestError, unknown
+from swarmd.core.files import cache_folder
 from swarmd.core.keys import is_id
 from swarmd.core.names import expand_globs
+from swarmd.core.numbers import python_value
 from swarmd.operator.session.exit_codes import NO_TARGET, USAGE
 
 if TYPE_CHECKING:
+    from swarmd.link.settings import NetworkSettings
     from swarmd.operator.session.members_view import MembersView
+    from swarmd.operator.session.operator import Operator
+    from swarmd.operator.texts.assignments import Value
+
 
 STOP_LOOK = 1.0
 """How long a stop by label looks for labels at most, in s.
@@ -192,3 +213,173 @@ def _check(labels: Collection[str], of_robots: Collection[Collection[str]]) -> N
     for label in labels:
         if label not in known:
             raise RequestError(unknown("robot with label", label, known), NO_TARGET)
+
+
+MAX_TIME = 1e7  # s
+
+Words: TypeAlias = str | Iterable[str]
+T = TypeVar("T", float, float | None)
+"""One word, or several."""
+
+
+def check_time(name: str, value: T) -> T:
+    """The time as a float of Python, or None as it is.
+
+    ConfigError unless a given time is a finite number of seconds above 0.
+    """
+    plain = python_value(value)
+    is_number = isinstance(plain, Real) and not isinstance(plain, bool)
+    if plain is not None and not (is_number and 0.0 < plain <= MAX_TIME):
+        raise ConfigError(
+            f"{name} is {value!r}; expected a number of seconds above 0, at most {MAX_TIME:.0e}"
+        )
+    return plain if plain is None else float(plain)  # type: ignore[return-value]  # mypy: a union
+
+
+def check_words(words: Words, what: str) -> tuple[str, ...]:
+    """The words as a tuple; ConfigError unless they are a text or several texts."""
+    plain = python_value(words)
+    some = tuple(plain) if isinstance(plain, Iterable) and not isinstance(plain, str) else (plain,)
+    if not all(isinstance(word, str) for word in some):
+        raise ConfigError(f"{what} is {words!r}; expected a text, or a list of texts")
+    return tuple(map(str, some))  # numpy's texts cannot be sent
+
+
+def plain_params(values: Mapping[str, Any]) -> dict[str, Value]:
+    """Values that can be sent: numpy's values as Python's. ConfigError for any other type."""
+    if not isinstance(values, Mapping) or not all(isinstance(key, str) for key in values):
+        raise ConfigError(f"parameters are {values!r}; expected a dict, such as {{'speed': 0.15}}")
+    plain: dict[str, Value] = {}
+    for key, value in python_value(values).items():
+        if isinstance(value, bool | str) or value is None:
+            plain[key] = value
+        elif isinstance(value, Integral) and -(2**63) <= int(value) < 2**63:
+            plain[key] = int(value)
+        elif isinstance(value, Real) and not isinstance(value, Integral) and math.isfinite(value):
+            plain[key] = float(value)
+        else:
+            wanted = "a finite number of at most 64 bits, a text, True, False or None"
+            raise ConfigError(f"parameter {key} is {value!r}; expected {wanted}")
+    return plain
+
+
+MAX_NAMES = 1024  # the most names of robots, and the most labels
+MAX_SWARMS = 32
+"""Swarms whose names are kept: those of the latest looks."""
+MAX_AGE = 60.0
+"""s after which the names are looked up anew."""
+EMPTY_AGE = 5.0
+"""s after which the names are looked up anew if no robot was found."""
+LOOK_TIME = 0.25
+"""How long such a look takes at most, in s: the shell waits for it."""
+
+
+def remember(settings: NetworkSettings, view: MembersView) -> None:
+    """Write the names and labels of a look to the user's cache; a failure is ignored."""
+    names = view.members.keys() | view.roster
+    if names:
+        _write(settings, names, _labels(view))
+
+
+def _labels(view: MembersView) -> list[str] | None:
+    """The labels of all robots; None if the look has no status."""
+    statuses = [status.status for status in view.members.values() if status.status is not None]
+    return [label for status in statuses for label in status.labels] if statuses else None
+
+
+def _write(
+    settings: NetworkSettings, names: Iterable[str], labels: Iterable[str] | None = None
+) -> None:
+    """Write names and labels; None for `labels` keeps the labels in the file."""
+    with contextlib.suppress(OSError, RuntimeError):
+        path = _path(settings)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        kept = known_labels(settings) if labels is None else labels
+        content = {
+            "names": sorted(filter(is_id, names))[:MAX_NAMES],
+            "labels": sorted({*filter(is_id, kept)})[:MAX_NAMES],
+        }
+        draft = path.with_name(f".{path.name}.{os.getpid()}")  # tempfile takes 10 ms to import
+        try:
+            draft.write_text(json.dumps(content))
+            draft.replace(path)
+        except OSError:
+            draft.unlink(missing_ok=True)
+        files = sorted(path.parent.glob("members-*.json"), key=lambda one: one.stat().st_mtime)
+        for old in files[:-MAX_SWARMS]:
+            old.unlink(missing_ok=True)
+
+
+def remembered(settings: NetworkSettings) -> tuple[list[str], float]:
+    """The cached names, and their age in s; an infinite age without a cache."""
+    try:
+        age = max(time.time() - _path(settings).stat().st_mtime, 0.0)
+    except (OSError, RuntimeError):
+        return [], float("inf")
+    return _read(settings, "names"), age
+
+
+def known_labels(settings: NetworkSettings) -> list[str]:
+    """The cached labels."""
+    return _read(settings, "labels")
+
+
+def _read(settings: NetworkSettings, key: str) -> list[str]:
+    try:
+        found = json.loads(_path(settings).read_bytes()[: 256 * MAX_NAMES])[key]
+        return [name for name in found if isinstance(name, str) and is_id(name)]
+    except (OSError, RuntimeError, ValueError, TypeError, LookupError):
+        return []
+
+
+def known_names(operator: Operator) -> list[str]:
+    """The cached names; if they are old, a short look renews them."""
+    settings = operator.settings
+    names, age = remembered(settings)
+    if age <= (MAX_AGE if names else EMPTY_AGE) or settings.profile == "routed":
+        return names
+    view = operator.members(timeout=LOOK_TIME, needs_status=False)
+    names = sorted(view.members.keys() | view.roster) or names
+    _write(settings, names, _labels(view))
+    return names
+
+
+def _path(settings: NetworkSettings) -> Path:
+    return cache_folder() / f"members-{settings.profile}-{settings.swarm}.json"
+
+
+# Bounds of the texts in a request, in characters, and in a datagram, in bytes.
+MAX_OPERATOR = 128
+MAX_OPERATOR_BYTES = 256
+MAX_REASON = 256
+MAX_REASON_BYTES = 512
+
+
+def operator_name() -> str:
+    """The name of this operator, such as `anna@laptop`."""
+    try:
+        user = getpass.getuser()
+    except (OSError, KeyError):
+        user = f"uid{os.getuid()}"
+    return sendable_name(f"{user}@{socket.gethostname()}")
+
+
+def sendable_name(name: str) -> str:
+    """An operator's name as any request carries it."""
+    return _sendable(name, MAX_OPERATOR, MAX_OPERATOR_BYTES)
+
+
+def request_reason(reason: str) -> str:
+    """A reason as a request by Zenoh carries it."""
+    return _sendable(reason, MAX_REASON, 4 * MAX_REASON)
+
+
+def stop_reason(reason: str) -> str:
+    """A reason as the datagram of a stop carries it."""
+    return _sendable(reason, MAX_REASON, MAX_REASON_BYTES)
+
+
+def _sendable(text: str, length: int, room: int) -> str:
+    """The first `length` characters and `room` bytes; what UTF-8 cannot carry becomes `?`."""
+    whole = text.encode("utf-8", "replace").decode()[:length]
+    return whole.encode()[:room].decode(errors="ignore")

@@ -118,7 +118,7 @@ class Client:
 
         A moment has a text (values) and a frame (poses). The frame has its old number, and a
         command of the page quotes the number of the frame that the user sees. So the server knows
-        the age of what the user sees. From MAX_LATENESS s on (`operator/client/input_watch.py`),
+        the age of what the user sees. From MAX_LATENESS s on (`operator/session/clocks.py`),
         only stops are carried out.
         """
         if self._is_sending:

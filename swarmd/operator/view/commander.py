@@ -12,7 +12,6 @@ from typing import Any, Literal
 from swarmd.core.clock import boottime
 from swarmd.core.errors import NetworkError, SwarmError
 from swarmd.core.numbers import exact_number
-from swarmd.operator.client.changes import change_labels, set_params
 from swarmd.operator.client.hand_over import in_thread
 from swarmd.operator.client.operator_pool import RequestLimit
 from swarmd.operator.session.operator import Operator
@@ -20,8 +19,10 @@ from swarmd.operator.session.outcome import Outcome
 from swarmd.operator.session.session import Session, TargetedView
 from swarmd.operator.session.targets import Targets
 from swarmd.operator.texts.assignments import read_assignments
-from swarmd.operator.texts.labels import read_changes
 from swarmd.operator.verbs.drive.ask import Hand, take
+from swarmd.operator.verbs.label.ask import change_labels
+from swarmd.operator.verbs.label.words import read_changes
+from swarmd.operator.verbs.param.ask import set_params
 from swarmd.operator.verbs.push.ask import Push, push_to, source_named
 from swarmd.operator.verbs.run.ask import Run, carry_out, goal_targets_of_names
 from swarmd.operator.verbs.stop import words as stop_words

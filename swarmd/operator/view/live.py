@@ -23,12 +23,12 @@ from swarmd.core.keys import is_id
 from swarmd.core.messages import STATUS_SILENCE, Motion, Presence, Status, Tracks
 from swarmd.core.values import Array, Platform, Scan
 from swarmd.driver_api.hw_codec import decode_scan
-from swarmd.operator.client.event_feed import EventFeed, EventLine, together
-from swarmd.operator.client.swarm_watch import SwarmWatch
+from swarmd.operator.session.looks import SwarmWatch
 from swarmd.operator.session.members_view import MembersView, SeenMember
 from swarmd.operator.session.operator import Operator
 from swarmd.operator.texts.status import sections
 from swarmd.operator.texts.why import absence, standing_time, why
+from swarmd.operator.verbs.events.feed import EventFeed, EventLine, together
 from swarmd.operator.view.history import SPAN
 from swarmd.operator.view.metrics import Seen, exposition
 from swarmd.operator.view.source import ShownArena, ShownRobot, limits_of, points_of, row_of

@@ -13,9 +13,9 @@ import numpy as np
 from swarmd.core.messages import Member, Presence, Reason
 from swarmd.core.values import Array, Twist
 from swarmd.daemon.recording import messages
-from swarmd.operator.client.event_feed import EventLine, together
 from swarmd.operator.texts.status import NOT_DESCRIBED, sections
 from swarmd.operator.texts.why import protection_word, standing_of
+from swarmd.operator.verbs.events.feed import EventLine, together
 from swarmd.operator.view.playback import Playback
 from swarmd.operator.view.source import ShownArena, ShownRobot, link_of, points_of, row_of
 from swarmd.operator.view.timeline import Track, read_timeline

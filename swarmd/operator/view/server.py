@@ -42,7 +42,7 @@ from websockets.protocol import State
 from swarmd.core.clock import boottime
 from swarmd.core.errors import SwarmError
 from swarmd.core.token_bucket import TokenBucket
-from swarmd.operator.client.input_watch import TOO_LATE, InputWatch
+from swarmd.operator.session.clocks import TOO_LATE, InputWatch
 from swarmd.operator.view.access import (
     HEADERS,
     Access,

@@ -29,10 +29,10 @@ from swarmd.daemon.recording.fetch import (
     note_clock,
     read_exchanges,
 )
-from swarmd.operator.cli import record
 from swarmd.operator.cli.options import CommonOptions
 from swarmd.operator.cli.swarmctl import cli, exit_code_of, run_cli
 from swarmd.operator.verbs.record import ask
+from swarmd.operator.verbs.record import command as record
 
 CONTENT = bytes(range(256)) * 500  # 128 kB
 

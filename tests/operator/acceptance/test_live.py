@@ -1,4 +1,4 @@
-"""`swarmctl acceptance` on a pseudo terminal with a daemon: B1 with a person who is not careful."""
+"""The acceptance test with a daemon, from Python and at a terminal: B1 by careless persons."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ from swarmd.core.messages import State, Status
 from swarmd.link.settings import NetworkSettings
 from swarmd.operator.acceptance.result_file import read_record
 from swarmd.operator.acceptance.verdict import Result
+from swarmd.operator.client.connect import connect
 from swarmd.operator.session.operator import Operator
+from swarmd.operator.verbs.acceptance.talk import Question
 from swarmd.sim.live.fleet import Fleet, FleetSpec
 from swarmd.sim.live.starting import statuses_of
 from tests.operator.acceptance.person import READ_TIME, person
@@ -44,7 +46,46 @@ def is_so(swarm: str, condition: Callable[[Status], bool]) -> bool:
     return status is not None and condition(status)
 
 
+class Careless:
+    """A person behind `answer` whose first answers are none; asks for no yes to another step."""
+
+    def __init__(self) -> None:
+        self.questions: list[Question] = []
+
+    def __call__(self, question: Question) -> str:
+        self.questions.append(question)
+        if len(self.questions) == 1:
+            return "y"  # before it was read
+        time.sleep(READ_TIME)
+        return "sure" if len(self.questions) == 2 else "y"
+
+
+def test_a_stop_is_measured_from_python_although_the_first_answers_are_none(
+    swarm: str, tmp_path: Path
+) -> None:
+    folder = tmp_path / "results"
+    with connect(swarm) as one:
+        for _ in range(TRIES):
+            person = Careless()
+            accepted = one.acceptance(ROBOT, "B1", answer=person, folder=folder)
+            found = accepted.verdicts["B1"]
+            if found.result is Result.PASS and float(found.values["speed"]) > 0.05:
+                break
+    assert found.result is Result.PASS, found
+    assert 0.05 < float(found.values["speed"]) < 0.15
+    assert {question.id for question in person.questions} == {"B1"}
+    assert len(person.questions) >= 3
+    assert "at most" in person.questions[0].moves
+    assert accepted.exit_code == 0
+    assert list(tmp_path.glob("*.zip")) == [accepted.file]
+    assert read_record(folder).verdicts["B1"] == read_record(accepted.file).verdicts["B1"] == found
+    shown = swarmctl("acceptance", "--show", str(accepted.file))
+    assert (shown.code, "B1 stop: PASS" in shown.out) == (0, True)
+
+
+@pytest.mark.evidence
 def test_a_stop_is_measured_although_the_first_answers_are_none(swarm: str, tmp_path: Path) -> None:
+    """The command at a terminal; its shell alone is in test_terminal.py."""
     folder = tmp_path / "results"
     for _ in range(TRIES):
         with person(swarm, ROBOT, "--only", "B1", "--folder", str(folder)) as one:

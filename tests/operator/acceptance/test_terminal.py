@@ -15,10 +15,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import click
 import pytest
 
 from swarmd.core.clock import boottime
+from swarmd.core.errors import ConfigError
 from swarmd.core.values import Pose
 from swarmd.operator.acceptance.dialogue import (
     SOON,
@@ -41,7 +41,8 @@ from swarmd.operator.acceptance.step import End, Motion, Step
 from swarmd.operator.acceptance.steps import steps_of
 from swarmd.operator.acceptance.verdict import Result, passed
 from swarmd.operator.cli import dialogue as shell
-from swarmd.operator.cli.acceptance import Results, _wanted
+from swarmd.operator.verbs.acceptance.results import Results, wanted_steps
+from swarmd.operator.verbs.acceptance.talk import Talk
 from swarmd.settings.platforms import load_platform
 
 CAP = 20.0  # s
@@ -167,24 +168,24 @@ def robot() -> Iterator[FakeRobot]:
     made.is_over.set()
 
 
-def talk(robot: FakeRobot, folder: Path, *steps: Step) -> shell.Talk:
+def talk(robot: FakeRobot, folder: Path, *steps: Step) -> Talk:
     results = Results(folder, RECORD, steps)
-    return shell.Talk(Dialogue(steps, {}), robot, shell.Terminal(), results)  # type: ignore[arg-type]
+    return Talk(Dialogue(steps, {}), robot, shell.Terminal(), results)  # type: ignore[arg-type]
 
 
 class Person:
     """Answers each question by the next of `lines`, or the last, and stops the robot that moves."""
 
-    def __init__(self, keyboard: int, one: shell.Talk, robot: FakeRobot, *lines: bytes) -> None:
+    def __init__(self, keyboard: int, one: Talk, robot: FakeRobot, *lines: bytes) -> None:
         self._keyboard, self._one, self._robot, self._lines = keyboard, one, robot, list(lines)
         self._asked = threading.Event()
-        discard = one._keyboard.discard
+        discard = one._person.discard
 
         def discard_and_tell() -> None:  # what was typed before a question is discarded
             discard()
             self._asked.set()
 
-        one._keyboard.discard = discard_and_tell  # type: ignore[method-assign]
+        one._person.discard = discard_and_tell  # type: ignore[method-assign]
         threading.Thread(target=self._answer, daemon=True).start()
 
     def _answer(self) -> None:
@@ -202,7 +203,7 @@ class Person:
         def stop_moving() -> None:
             self._robot.is_moving.wait(CAP)
             while self._robot.is_moving.is_set():
-                if not self._one._keyboard._gives_lines:  # type: ignore[union-attr]  # a terminal
+                if not self._one._person._gives_lines:  # type: ignore[union-attr]  # a terminal
                     time.sleep(0.3)
                     stop()
                     time.sleep(3.0)
@@ -239,14 +240,14 @@ def test_a_pass_of_days_ago_lets_nothing_move_in_a_dialogue_left_open(
     kept = result_of(DRIVE, verdict, (), time.time() - age, {})
     record = with_step(RECORD, kept, ["B1", "C1"])
     dialogue, results = Dialogue(steps, {"B1": verdict}), Results(tmp_path, record, steps)
-    one = shell.Talk(dialogue, robot, shell.Terminal(), results)  # type: ignore[arg-type]
+    one = Talk(dialogue, robot, shell.Terminal(), results)  # type: ignore[arg-type]
     one._begin(second)
     assert robot.did == begun
     refused = [robot.inputs.get(timeout=CAP) for _ in range(3)]
     assert [type(one) for one in refused if not isinstance(one, Sight)] == [
         Refused for _ in range(not begun)
     ]
-    one._keyboard.close()
+    one._person.close()
 
 
 @pytest.mark.long
@@ -295,21 +296,21 @@ def test_a_yes_that_was_given_before_answers_questions_and_at_last_no(
 
 def test_a_run_counts_as_issued_when_the_person_said_yes(robot: FakeRobot, keyboard: int) -> None:
     """A robot that was stopped since then refuses the run."""
-    shell.Talk(Dialogue([DRIVE], {}), robot, shell.GivenYes(42.0))._begin(DRIVE)  # type: ignore[arg-type]
+    Talk(Dialogue([DRIVE], {}), robot, shell.GivenYes(42.0))._begin(DRIVE)  # type: ignore[arg-type]
     assert robot.said_at == 42.0
     terminal = shell.Terminal()
     os.write(keyboard, b"y\n")
     before = boottime()
     assert typed(terminal, gives_lines=True) == Line("y\n")
     after = boottime()
-    shell.Talk(Dialogue([DRIVE], {}), robot, terminal)._begin(DRIVE)  # type: ignore[arg-type]
+    Talk(Dialogue([DRIVE], {}), robot, terminal)._begin(DRIVE)  # type: ignore[arg-type]
     assert before <= robot.said_at <= after
     terminal.close()
 
 
 def test_a_part_or_a_step_is_picked() -> None:
     steps = steps_of(load_platform("burger"))
-    assert {one.id[0] for one in _wanted(steps, "B")} == {"B"}
+    assert {one.id[0] for one in wanted_steps(steps, ("B",))} == {"B"}
     picked = {
         "A1": "A1",
         "A6": "A6 A7 A8 A9 A10 A11 A16",
@@ -317,10 +318,10 @@ def test_a_part_or_a_step_is_picked() -> None:
         "C2": "C2 C3 C4 C5 C6 C7 C10",
     }
     for only, ids in picked.items():
-        assert [one.id for one in _wanted(steps, only)] == ids.split()
-    assert len(_wanted(steps, None)) == len(steps)
-    with pytest.raises(click.UsageError):
-        _wanted(steps, "E")
+        assert [one.id for one in wanted_steps(steps, (only,))] == ids.split()
+    assert len(wanted_steps(steps, ())) == len(steps)
+    with pytest.raises(ConfigError):
+        wanted_steps(steps, ("B1", "E"))
 
 
 def test_long_texts_are_wrapped(

@@ -17,14 +17,14 @@ from pathlib import Path
 import pytest
 
 from swarmd.link.settings import NetworkSettings
-from swarmd.operator.session.known_robots import (
+from swarmd.operator.session.members_view import MembersView
+from swarmd.operator.session.targets import (
     EMPTY_AGE,
     MAX_AGE,
     MAX_SWARMS,
     known_names,
     remember,
 )
-from swarmd.operator.session.members_view import MembersView
 from tests.support.processes import unique_swarm, wait_until
 from tests.support.statuses import make_member
 from tests.support.swarmctl import Running

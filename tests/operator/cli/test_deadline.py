@@ -11,8 +11,7 @@ from swarmd.core.messages import Presence
 from swarmd.link.settings import NetworkSettings
 from swarmd.operator.cli.options import CommonOptions
 from swarmd.operator.cli.swarmctl import cli, exit_code_of, run_cli
-from swarmd.operator.session.dials import Dials
-from swarmd.operator.session.members_view import Contact, MembersView, SeenMember
+from swarmd.operator.session.members_view import Contact, Dials, MembersView, SeenMember
 from swarmd.operator.session.outcome import Outcome
 from swarmd.operator.session.session import LEAST_REQUEST_TIME
 

@@ -18,9 +18,9 @@ from swarmd.core.finding import Level
 from swarmd.link.keys.identity import find_identity, load_identity
 from swarmd.link.keys.roster import Role
 from swarmd.operator.cli.daemon import swarmd
-from swarmd.operator.cli.doctor import _of_daemon_file
 from swarmd.operator.cli.swarmctl import cli
 from swarmd.operator.session.exit_codes import NO_TARGET
+from swarmd.operator.verbs.doctor.command import _of_daemon_file
 from swarmd.settings.contexts import context_in_use
 from swarmd.settings.settings import load_daemon_settings
 

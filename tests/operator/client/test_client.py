@@ -26,17 +26,16 @@ from swarmd.link.settings import NetworkSettings
 from swarmd.operator.client.async_swarm import AsyncSwarm
 from swarmd.operator.client.connect import Connection
 from swarmd.operator.client.hand_over import from_thread
-from swarmd.operator.client.members import Members
 from swarmd.operator.client.network_options import NetworkOptions
 from swarmd.operator.client.operator_pool import MAX_IDLE, MAX_REQUESTS, LookTurns, OperatorPool
-from swarmd.operator.client.states import RobotState, _put
 from swarmd.operator.client.swarm import Swarm, _targets
-from swarmd.operator.session.arguments import check_words, plain_params
 from swarmd.operator.session.exit_codes import NO_TARGET
+from swarmd.operator.session.looks import RobotState, _put
 from swarmd.operator.session.members_view import MembersView
 from swarmd.operator.session.outcome import Outcome
 from swarmd.operator.session.session import Session
-from swarmd.operator.session.targets import Targets
+from swarmd.operator.session.targets import Targets, check_words, plain_params
+from swarmd.operator.verbs.members.ask import Members
 from swarmd.operator.verbs.run.ask import Run
 from swarmd.operator.verbs.run.canary import choose_canaries
 from swarmd.operator.verbs.run.lease import LeaseKeeper
@@ -427,6 +426,10 @@ def test_texts_of_numpy_are_texts() -> None:
     assert check_words(texts[0], "robots") == ("a",)
 
 
+def _yes(question: object) -> str:
+    return "y"
+
+
 WRONG: dict[str, Callable[[Swarm], object]] = {
     "pattern name": lambda swarm: swarm.run(5),  # type: ignore[arg-type]
     "on_join": lambda swarm: swarm.run("drive", on_join="maybe"),  # type: ignore[arg-type]
@@ -451,6 +454,11 @@ WRONG: dict[str, Callable[[Swarm], object]] = {
     "conditions foo": lambda swarm: swarm.wait("foo"),
     "changes is": lambda swarm: swarm.label(3),  # type: ignore[arg-type]
     "robot is": lambda swarm: swarm.describe(["r1"]),  # type: ignore[arg-type]
+    "robot is 7": lambda swarm: swarm.acceptance(7, answer=_yes),  # type: ignore[arg-type]
+    "answer is 'y'": lambda swarm: swarm.acceptance("r1", answer="y"),  # type: ignore[arg-type]
+    "rows is 5": lambda swarm: swarm.acceptance("r1", 5, answer=_yes),  # type: ignore[arg-type]
+    "rows is empty": lambda swarm: swarm.acceptance("r1", [], answer=_yes),
+    "folder is 5": lambda swarm: swarm.acceptance("r1", folder=5, answer=_yes),  # type: ignore[arg-type]
     "frame takes": lambda swarm: swarm.frame(3),  # type: ignore[arg-type]
     "seeds is 5": lambda _: swarmd.connect(seeds=5),  # type: ignore[arg-type]
     "config is 5": lambda _: swarmd.connect(config=5),  # type: ignore[arg-type]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from swarmd.link.datagram import ClockReply
-from swarmd.operator.session.robot_clocks import (
+from swarmd.operator.session.clocks import (
     EXCHANGES,
     MAX_DRIFT,
     ClockOffset,

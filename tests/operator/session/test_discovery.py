@@ -7,6 +7,7 @@ from msgspec.structs import replace
 
 from swarmd.core.messages import Epoch, Presence
 from swarmd.link.members.membership import MAX_MEMBERS
+from swarmd.operator.session.clocks import QUIET_TIME
 from swarmd.operator.session.discovery import (
     ANSWER_WAIT,
     FIRST_ROBOT_TIMEOUT,
@@ -18,8 +19,7 @@ from swarmd.operator.session.discovery import (
     UNREACHABLE_WAIT,
     Discovery,
 )
-from swarmd.operator.session.round_trips import QUIET_TIME
-from swarmd.operator.session.seen_member import INDIRECT_TIME
+from swarmd.operator.session.member_reports import INDIRECT_TIME
 from tests.operator.session.discovery_rig import (
     ALIVE,
     FAILED,

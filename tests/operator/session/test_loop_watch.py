@@ -7,7 +7,7 @@ import threading
 
 import pytest
 
-from swarmd.operator.session.loop_watch import MAX_GAP, START_TIME, LoopWatch, processor_waits
+from swarmd.operator.session.clocks import MAX_GAP, START_TIME, LoopWatch, processor_waits
 
 
 class Waited:

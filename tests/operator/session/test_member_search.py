@@ -14,10 +14,10 @@ from swarmd.core.messages import Epoch, Presence
 from swarmd.link.carriers.udp import UdpCarrier
 from swarmd.link.datagram import Beacon, Solicit, pack, tag_of, unpack
 from swarmd.link.settings import NetworkSettings
-from swarmd.operator.session.dials import Dials
 from swarmd.operator.session.exit_codes import PARTIAL
+from swarmd.operator.session.members_view import Dials
 from swarmd.operator.session.operator import Operator
-from swarmd.operator.texts.members import health, heard_row
+from swarmd.operator.verbs.members.words import health, heard_row
 from tests.link.conftest import Robots
 from tests.support.swarmctl import fork_command
 

@@ -25,8 +25,7 @@ from swarmd.link.keys.roster import Role
 from swarmd.link.settings import NetworkSettings
 from swarmd.link.signature import Author, Previous, Trust
 from swarmd.operator.session import roster_update
-from swarmd.operator.session.operator_admission import OperatorAdmission
-from swarmd.operator.session.roster_follower import RosterFollower
+from swarmd.operator.session.roster import OperatorAdmission, RosterFollower
 from tests.link.keyring import Keyring
 
 TAG = tag_of("field", "lab")

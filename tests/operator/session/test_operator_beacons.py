@@ -6,8 +6,8 @@ import pytest
 
 from swarmd.core.messages import State
 from swarmd.link.datagram import STATES, Flag
+from swarmd.operator.session.clocks import MAX_ROUND_TRIP
 from swarmd.operator.session.members_view import Contact
-from swarmd.operator.session.round_trips import MAX_ROUND_TRIP
 from tests.operator.session.discovery_rig import Rig, life
 
 

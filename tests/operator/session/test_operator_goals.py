@@ -16,7 +16,7 @@ from swarmd.link.keys.content_signature import Purpose, is_signed_by
 from swarmd.link.keys.identity import load_identity
 from swarmd.link.keys.roster import Role
 from swarmd.operator.session.members_view import MembersView
-from swarmd.operator.session.operator_goals import (
+from swarmd.operator.session.session import (
     MAX_GENERATION,
     next_goal,
     signed_again,

@@ -24,8 +24,8 @@ from swarmd.link.keys.identity import authority_of
 from swarmd.link.keys.roster import Role
 from swarmd.link.settings import NetworkSettings
 from swarmd.link.signature import Author
+from swarmd.operator.session import carriers as operator_datagrams
 from swarmd.operator.session import operator as operator_module
-from swarmd.operator.session import operator_datagrams
 from swarmd.operator.session.operator import CLOCK_PERIOD, Operator
 from tests.link.keyring import Keyring
 from tests.support.statuses import make_member

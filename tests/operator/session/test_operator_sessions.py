@@ -11,7 +11,7 @@ import pytest
 
 from swarmd.link.datagram import Address
 from swarmd.link.settings import NetworkSettings
-from swarmd.operator.session import operator_sessions
+from swarmd.operator.session import carriers as operator_sessions
 from swarmd.operator.session.operator import Operator
 from tests.link.conftest import Robots
 from tests.support.operator_threads import is_closing
@@ -45,7 +45,7 @@ def test_a_close_that_hangs_or_fails_holds_nobody_up(
 FROZEN = """
 import atexit, socket, threading
 from swarmd.operator.session.operator import Operator
-from swarmd.operator.session.roster_follower import CLOSING
+from swarmd.operator.session.roster import CLOSING
 from swarmd.link.settings import NetworkSettings
 frozen = socket.create_server(("127.0.0.1", 0))
 atexit.register(lambda: print([one.name for one in threading.enumerate() if one.name == CLOSING]))

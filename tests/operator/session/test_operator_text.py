@@ -8,7 +8,7 @@ from swarmd.core.verbs import ResetRequest
 from swarmd.link.datagram import Stop
 from swarmd.link.settings import NetworkSettings
 from swarmd.operator.session.operator import Operator
-from swarmd.operator.session.operator_text import operator_name
+from swarmd.operator.session.targets import operator_name
 from tests.link.conftest import Robots
 
 

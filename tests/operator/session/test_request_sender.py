@@ -12,10 +12,10 @@ from swarmd.core.errors import RequestError
 from swarmd.core.messages import Code
 from swarmd.core.verbs import AnyRequest, ResetRequest, ResumeRequest, RunRequest
 from swarmd.link.settings import NetworkSettings
-from swarmd.operator.session import request_sender
+from swarmd.operator.session import senders as request_sender
 from swarmd.operator.session.exit_codes import FAILED, PARTIAL, TIMEOUT
 from swarmd.operator.session.operator import Operator
-from swarmd.operator.session.request_sender import REPEAT_PERIOD
+from swarmd.operator.session.senders import REPEAT_PERIOD
 from tests.link.conftest import Robots
 from tests.support.processes import wait_until
 

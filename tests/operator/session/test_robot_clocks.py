@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from swarmd.link.datagram import Beacon
-from swarmd.operator.session.robot_clocks import ANSWER_TIME, RobotClocks
+from swarmd.operator.session.clocks import ANSWER_TIME, RobotClocks
 
 LIFE, NEXT_LIFE = b"robot1", b"robot2"
 AHEAD = 500.0  # s, of the robot's clock

@@ -23,12 +23,11 @@ from swarmd.link.datagram import (
 )
 from swarmd.link.members.answer_budget import ANSWER_RATE_OF_HOST, STATUS_RATE
 from swarmd.link.members.membership import MAX_MEMBERS
-from swarmd.operator.session.arrivals import SOLICIT_PACE, Arrivals, RepeatTimer
+from swarmd.operator.session.carriers import OperatorDatagrams
+from swarmd.operator.session.clocks import SOLICIT_PACE, Arrivals, RepeatTimer, RoundTrips
 from swarmd.operator.session.discovery import Discovery
+from swarmd.operator.session.member_reports import PARTS_WAIT, StatusParts, decode_status
 from swarmd.operator.session.members_view import Contact
-from swarmd.operator.session.operator_datagrams import OperatorDatagrams
-from swarmd.operator.session.round_trips import RoundTrips
-from swarmd.operator.session.status_parts import PARTS_WAIT, StatusParts, decode_status
 from tests.link.keyring import Keyring
 from tests.link.virtual_network import TAG, TICK, VirtualNetwork
 from tests.support.fake_daemon import light_status

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from swarmd.operator.session.round_trips import QUIET_TIME
+from swarmd.operator.session.clocks import QUIET_TIME
 from tests.operator.session.discovery_rig import Rig, life
 
 

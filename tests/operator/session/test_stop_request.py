@@ -12,7 +12,7 @@ from swarmd.core.refusal import Refusal
 from swarmd.link.datagram import MAX_MS, Ack, Flag, Stop, pack, tag_of
 from swarmd.operator.session.discovery import Discovery
 from swarmd.operator.session.exit_codes import PARTIAL, TIMEOUT
-from swarmd.operator.session.stop_sender import STOP_CAP, STOP_WAIT, PendingStop
+from swarmd.operator.session.senders import STOP_CAP, STOP_WAIT, PendingStop
 from tests.operator.session.discovery_rig import Rig, heard, life
 
 REQUEST = Stop(id="q", verb="estop", operator="anna@laptop")

@@ -14,7 +14,7 @@ from swarmd.core.messages import Code, Presence
 from swarmd.link.datagram import Address, Stop, tag_of, unpack
 from swarmd.link.settings import NetworkSettings
 from swarmd.operator.session import operator as operator_module
-from swarmd.operator.session import stop_sender
+from swarmd.operator.session import senders as stop_sender
 from swarmd.operator.session.exit_codes import PARTIAL
 from swarmd.operator.session.operator import Operator, StopVerb
 from tests.link.conftest import Robots

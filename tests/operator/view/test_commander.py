@@ -71,7 +71,7 @@ class Hanging:
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A look keeps the names of robots for completion. A loaded machine makes gaps."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr("swarmd.operator.client.input_watch.MAX_GAP", CAP)
+    monkeypatch.setattr("swarmd.operator.session.clocks.MAX_INPUT_GAP", CAP)
 
 
 def commander(operator: object) -> LiveCommander:

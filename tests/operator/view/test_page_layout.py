@@ -226,8 +226,8 @@ def test_a_chosen_file_is_pushed_whole_and_a_wrong_one_is_refused_in_one_line(
         return Outcome({"tb3-001": Reply(id="1", robot="tb3-001", code=Code.APPLIED)})
 
     monkeypatch.setattr(commander, "push_to", push_to)
-    for limit in ("MAX_GAP", "MAX_LATENESS"):  # of commands on a machine that stands still
-        monkeypatch.setattr(f"swarmd.operator.client.input_watch.{limit}", CAP)
+    for limit in ("MAX_INPUT_GAP", "MAX_LATENESS"):  # of commands on a machine that stands still
+        monkeypatch.setattr(f"swarmd.operator.session.clocks.{limit}", CAP)
     file = tmp_path / "own.py"
     file.write_bytes("# é\n".encode() * 20_000)
     large = tmp_path / "large.py"

@@ -195,7 +195,7 @@ async def test_an_emergency_stop_is_kept_for_pages_that_open_later() -> None:
 
 
 async def test_what_a_page_sees_of_the_past_starts_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("swarmd.operator.client.input_watch.MAX_LATENESS", 0.5)
+    monkeypatch.setattr("swarmd.operator.session.clocks.MAX_LATENESS", 0.5)
     commander = SilentRobots()
     async with (
         serving(commander=commander, frame_period=0.01) as (_, address),

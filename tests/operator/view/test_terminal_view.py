@@ -21,7 +21,7 @@ from click.testing import CliRunner
 from swarmd.core.clock import boottime
 from swarmd.core.messages import State
 from swarmd.operator.cli.swarmctl import cli
-from swarmd.operator.client.input_watch import MAX_GAP
+from swarmd.operator.session.clocks import MAX_INPUT_GAP
 from swarmd.operator.view.source import CommandProgress
 from swarmd.operator.view.terminal_view import HELP, answer_lines
 from tests.support.processes import CAP, stop_process, wait_until
@@ -107,7 +107,7 @@ def test_keys_stop_three_robots_and_answers_are_counted(swarm: Swarm) -> None:
         frozen_at, so_far = boottime(), len(shown.text)
         stop_process(shown.process.pid)
         shown.press("s")
-        wait_until(lambda: boottime() - frozen_at > 2 * MAX_GAP, "the view was away")
+        wait_until(lambda: boottime() - frozen_at > 2 * MAX_INPUT_GAP, "the view was away")
         shown.process.send_signal(signal.SIGCONT)
         shown.until("stop: 3 targeted, 3 applied", so_far)
         # Other keys, sequences and pasted text do nothing.

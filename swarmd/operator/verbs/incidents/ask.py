@@ -29,9 +29,9 @@ from swarmd.core.verbs import (
     mark_text,
     shortened,
 )
-from swarmd.operator.session.ask_robots import ask_robots, in_reach
 from swarmd.operator.session.exit_codes import NO_TARGET, code_of_answers
 from swarmd.operator.session.outcome import Outcome
+from swarmd.operator.session.session import ask_robots, in_reach
 from swarmd.operator.verbs.record.ask import Fetched, OnBytes, fetch_files
 from swarmd.plugins import need
 

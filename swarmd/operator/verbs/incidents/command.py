@@ -11,9 +11,9 @@ import click
 
 from swarmd.core.errors import ConfigError
 from swarmd.operator.cli import completion
+from swarmd.operator.cli.fetched import print_fetched, tell_bytes
 from swarmd.operator.cli.options import FOLDER, CommonOptions, Failure, VerbGroup, common_options
 from swarmd.operator.cli.output import line_width, print_json, print_table, warn
-from swarmd.operator.cli.record import print_fetched, tell_bytes
 from swarmd.operator.cli.send import asking, session_of
 from swarmd.operator.cli.targets import takes_targets
 from swarmd.operator.session.exit_codes import NO_TARGET

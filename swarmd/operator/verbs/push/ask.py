@@ -27,10 +27,10 @@ from swarmd.core.pattern_manifest import (
 )
 from swarmd.core.verbs import PLUGINS, PushedPatternReport, PushedPatternsReply, PushRequest
 from swarmd.link.keys.content_signature import Purpose, is_signed_by, sign
-from swarmd.operator.session.arguments import check_time
-from swarmd.operator.session.ask_robots import ask_robots, in_reach
 from swarmd.operator.session.exit_codes import PARTIAL, TIMEOUT
 from swarmd.operator.session.outcome import Outcome
+from swarmd.operator.session.session import ask_robots, in_reach
+from swarmd.operator.session.targets import check_time
 from swarmd.operator.texts.values import printable
 from swarmd.operator.verbs.push import words
 from swarmd.operator.verbs.run.ask import goal_targets

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from swarmd.core.errors import CodecError, NetworkError, RequestError, SwarmError
-from swarmd.operator.session.ask_robots import ASK_TIME
 from swarmd.operator.session.exit_codes import APPLIED, NO_TARGET, PARTIAL, TIMEOUT
+from swarmd.operator.session.session import ASK_TIME
 
 if TYPE_CHECKING:
     from swarmd.core.verbs import RecordingFile

@@ -12,8 +12,8 @@ from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.keys import is_id
 from swarmd.core.record import LABEL
 from swarmd.core.verbs import MAX_AHEAD, MAX_PLANNED
-from swarmd.operator.session.arguments import check_time
-from swarmd.operator.session.operator_goals import next_goal
+from swarmd.operator.session.session import next_goal
+from swarmd.operator.session.targets import check_time
 from swarmd.operator.verbs.run.send_goal import has_permit, send_goal
 from swarmd.plugins import is_pattern_path
 

@@ -12,7 +12,7 @@ from swarmd.core.clock import boottime
 from swarmd.core.errors import ConfigError, RequestError
 from swarmd.core.messages import STATUS_SILENCE, Reason, State, Status
 from swarmd.operator.session.exit_codes import FAILED, NO_TARGET, PARTIAL
-from swarmd.operator.session.operator_goals import next_generation, signed_again
+from swarmd.operator.session.session import next_generation, signed_again
 from swarmd.operator.verbs.run import words
 from swarmd.operator.verbs.run.send_goal import send_goal
 from swarmd.operator.verbs.stop.ask import stop_names, stop_on_interrupt
@@ -92,7 +92,7 @@ def watch_canary(
     with the reason; empty if all run well. A robot that sends no status does not run well. The
     watch ends at the first fault, and when the session is cancelled.
     """
-    from swarmd.operator.session.ask_robots import (  # most runs have no canary
+    from swarmd.operator.session.session import (  # most runs have no canary
         next_status,
         statuses_of,
     )

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, NamedTuple
 from swarmd.core.clock import boottime
 from swarmd.core.goal import GoalState
 from swarmd.core.messages import Reason
-from swarmd.operator.session.ask_robots import next_status, statuses_of
 from swarmd.operator.session.exit_codes import FAILED, PARTIAL, TIMEOUT
+from swarmd.operator.session.session import next_status, statuses_of
 from swarmd.operator.verbs.run import words
 
 if TYPE_CHECKING:

@@ -9,8 +9,8 @@ from msgspec.structs import replace
 
 from swarmd.core.clock import TICK, boottime
 from swarmd.core.errors import ConfigError, SwarmError
-from swarmd.operator.session.request_sender import REQUEST_WAIT
-from swarmd.operator.session.robot_clocks import read_clocks, start_times
+from swarmd.operator.session.clocks import read_clocks, start_times
+from swarmd.operator.session.senders import REQUEST_WAIT
 from swarmd.operator.texts.values import seconds
 from swarmd.operator.verbs.run import words
 from swarmd.operator.verbs.run.send_goal import send_goal

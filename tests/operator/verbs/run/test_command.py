@@ -5,9 +5,9 @@ from __future__ import annotations
 import click
 import pytest
 
-from swarmd.operator.cli.label import label
 from swarmd.operator.cli.swarmctl import cli, exit_code_of, run_cli
 from swarmd.operator.session.targets import Targets
+from swarmd.operator.verbs.label.command import label
 from swarmd.operator.verbs.run.ask import goal_targets
 
 

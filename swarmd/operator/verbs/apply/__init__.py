@@ -1,0 +1,1 @@
+"""The verbs of a swarm file: diff and apply."""

@@ -1,0 +1,1 @@
+"""The verb `events`: what happened to robots, and what happens."""

@@ -1,0 +1,1 @@
+"""The verb `label`: gives labels to robots, and takes them away."""

@@ -1,0 +1,1 @@
+"""The verbs that list robots: members, describe and members forget."""

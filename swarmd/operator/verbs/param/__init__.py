@@ -1,0 +1,1 @@
+"""The verb `param`: parameters of running patterns."""

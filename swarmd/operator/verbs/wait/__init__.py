@@ -1,0 +1,1 @@
+"""The verb `wait`: waits until robots are as they are wanted."""
