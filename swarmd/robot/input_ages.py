@@ -22,8 +22,9 @@ if TYPE_CHECKING:
 
     from swarmd.core.kin_message import KinMessage
     from swarmd.core.neighbor_places import NeighborPlaces
-    from swarmd.core.values import Detection, Odometry, Pose, Scan
+    from swarmd.core.values import Detection, Odometry, Scan
     from swarmd.robot.inbox import Inbox
+    from swarmd.robot.own_pose import OwnPose
     from swarmd.robot.peers import Peers
     from swarmd.robot.protection.decision import PoseAnchors
     from swarmd.robot.sensing.conditioning import ScanConditioner
@@ -71,6 +72,7 @@ class InputAges:
     - `peers_hold`, `pose_hold`: the place of a peer, or the pose for layers, is too old.
     - `_teller`: the `Peers` object while the place of any peer is known; such places are obstacles.
     - `_ring`: the `RangeRing` of a robot with such sensors.
+    - `own_pose`: the pose of the robot in a shared frame.
     - `_places`: the `NeighborPlaces` of a robot that computes where its neighbours are.
     - `kin`: names the peers of a robot while it or a peer needs their places.
     - `_anchors`: the `PoseAnchors` of a robot whose layers need its pose in a shared frame.
@@ -82,8 +84,7 @@ class InputAges:
     scan: Scan | None = cython.declare(object, visibility="public")
     readings: Mapping[str, float] = cython.declare(object, visibility="public")
     detections: tuple[Detection, ...] | None = cython.declare(object, visibility="public")
-    pose: Pose | None = cython.declare(object, visibility="public")
-    pose_until = cython.declare(cython.double, visibility="public")
+    own_pose: OwnPose = cython.declare(object, visibility="public")
     scan_delay: ScanDelay = cython.declare(object, visibility="public")
     is_driver_up = cython.declare(cython.bint, visibility="public")
     holds: tuple[Hold, ...] = cython.declare(tuple, visibility="public")
@@ -213,7 +214,11 @@ class InputAges:
                     for n in self._neighbors
                 ]
             )
-        known = self._aged if self._places is None else self._places.complete(self._aged, now)
+        known = (
+            self._aged
+            if self._places is None
+            else self._places.complete(self._aged, self.own_pose.last, now)
+        )
         return known if self.kin is None else self.kin.complete(known, now)
 
     @cython.ccall
@@ -233,7 +238,7 @@ class InputAges:
             self.readings,
             None if self._ring is None else self._ring.scan,
             self.detections,
-            self.pose if now <= self.pose_until else None,
+            self.own_pose.usable(now),
         )
         self._is_new_scan = False
         return inputs
