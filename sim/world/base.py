@@ -287,7 +287,7 @@ class Wheels:
             # The motion is in the reported pose now: the twist takes its place in `measured`.
             self._measure(row, index, twists[row, 0], twists[row, 1], twists[row, 2], measured)
 
-    def _measure_motion(self, row: int, index: int, poses: Table, measured: Table) -> int:
+    def _measure_motion(self, row: int, index: int, poses: Table, measured: Table) -> None:
         """Measure the motion of base `row` since the last reading. Returns 0.
 
         Sets row `index` of `measured` to the linear motion in m, the turn in rad and the lateral
@@ -299,7 +299,7 @@ class Wheels:
         mid_yaw = self._truth[row, 2] + turn / 2.0
         c = cos(mid_yaw)
         s = sin(mid_yaw)
-        return self._measure(row, index, c * x + s * y, turn, c * y - s * x, measured)
+        self._measure(row, index, c * x + s * y, turn, c * y - s * x, measured)
 
     def _add_motion(self, row: int, linear: float, turn: float, lateral: float) -> None:
         """Add a measured motion in m and rad to the reported pose of base `row`. Returns 0."""

@@ -189,7 +189,7 @@ class Caster:
 
     def _cast_sector(
         self, poses: Table, robot: int, first: int, count: int, ranges: Table, row: int
-    ) -> int:
+    ) -> None:
         """Cast `count` rays of a robot into row `row` of `ranges`. Returns 0, always.
 
         The rays are those from index `first` on, in order of bearing. `_set_bodies` must have been
@@ -207,7 +207,7 @@ class Caster:
             self._meet_bodies(robot)
             for i in range(len(self._poles)):
                 self._meet_circle(self._poles[i, 0], self._poles[i, 1], self._poles[i, 2])
-        return self._write_ranges(ranges, row)
+        self._write_ranges(ranges, row)
 
     def _write_ranges(self, ranges: Table, row: int) -> None:
         """Write the ranges of the sector's rays into a row of `ranges`; returns 0."""
@@ -225,7 +225,7 @@ class Caster:
                 index -= self._rays
             ranges[row, self._number[index]] = distance
 
-    def _set_bodies(self, poses: Table) -> int:
+    def _set_bodies(self, poses: Table) -> None:
         """Place all bodies in the world frame and in the grid; `poses` (n, 3) of their owners.
 
         Bodies are the polygons, then the discs, of robots and movable boxes. Returns 0, always.
@@ -250,7 +250,7 @@ class Caster:
                 self._place_polygon(body, x, y, poses[owner, 2])
             else:
                 self._place_disc(body - self._polygon_count, x, y, poses[owner, 2])
-        return self._fill_grid(west, east, south, north)
+        self._fill_grid(west, east, south, north)
 
     def _place_polygon(self, body: int, x: float, y: float, yaw: float) -> None:
         """Rotate and shift the start of each edge, and rotate the vector to its end. Returns 0."""
@@ -277,7 +277,7 @@ class Caster:
         self._disc_centers[disc, 0] = (c * self._discs[disc, 0] - s * self._discs[disc, 1]) + x
         self._disc_centers[disc, 1] = (s * self._discs[disc, 0] + c * self._discs[disc, 1]) + y
 
-    def _fill_grid(self, west: float, east: float, south: float, north: float) -> int:
+    def _fill_grid(self, west: float, east: float, south: float, north: float) -> None:
         """Sort the bodies by grid cell; the bounds are those of the bodies' places in m.
 
         Without a body `west` is above `east`, and the grid is empty. A cell is at least as wide as
@@ -287,7 +287,7 @@ class Caster:
         self._grid_columns = 0
         self._grid_rows = 0
         if not west <= east:
-            return 0
+            return
         # `_cell_begin` has room for about as many cells as bodies.
         self._cell_size = max(
             self._max_reach, max(east - west, north - south) / sqrt(self._body_count)
@@ -296,7 +296,7 @@ class Caster:
         self._south = south
         self._grid_columns = cython.cast(cython.Py_ssize_t, (east - west) / self._cell_size) + 1
         self._grid_rows = cython.cast(cython.Py_ssize_t, (north - south) / self._cell_size) + 1
-        return self._sort_bodies()
+        self._sort_bodies()
 
     def _sort_bodies(self) -> None:
         """Set `_members` and `_cell_begin` by a counting sort; returns 0."""
@@ -440,7 +440,9 @@ class Caster:
             if side < -_MIN_SIDE:
                 self._meet_surface(x - self._x, y - self._y, along_x, along_y, side)
 
-    def _meet_surface(self, x: float, y: float, along_x: float, along_y: float, side: float) -> int:
+    def _meet_surface(
+        self, x: float, y: float, along_x: float, along_y: float, side: float
+    ) -> None:
         """Note the distance of a flat surface at each ray of the sector that hits it. Returns 0.
 
         (`x`, `y`): the vector in m from the sensor to the start of the surface, in the world frame.
@@ -459,7 +461,7 @@ class Caster:
         first = self._ray_index((high - width) - _BEARING_MARGIN)
         rays = self._ray_index(high + _BEARING_MARGIN) - first
         # `first` counts over the four revolutions, the argument from the sector's first ray.
-        return self._note_surface((first - self._first) % self._rays, rays, by_cos, by_sin)
+        self._note_surface((first - self._first) % self._rays, rays, by_cos, by_sin)
 
     def _note_surface(self, begin: int, rays: int, by_cos: float, by_sin: float) -> None:
         """Note a flat surface at `rays` rays from ray `begin` on. Returns 0.
@@ -481,7 +483,7 @@ class Caster:
             begin = 0
             end = end - self._rays
 
-    def _meet_circle(self, x: float, y: float, radius: float) -> int:
+    def _meet_circle(self, x: float, y: float, radius: float) -> None:
         """Note the distance of a circle at each ray of the sector that hits the circle. Returns 0.
 
         `x`, `y`: the centre of the circle in the world frame. A circle around the sensor is left
@@ -493,13 +495,13 @@ class Caster:
         tangent_squared = x * x + y * y - radius * radius
         is_around_sensor = not tangent_squared > 0.0
         if is_around_sensor or self._is_outside(x, y, radius):  # outside the sector's cone
-            return 0
+            return
         # The circle covers the bearings `middle` +- `half` (rad).
         middle = atan2(y, x) - self._yaw
         half = asin(radius / hypot(x, y))
         first = self._ray_index((middle - half) - _BEARING_MARGIN)
         rays = self._ray_index((middle + half) + _BEARING_MARGIN) - first
-        return self._note_circle(
+        self._note_circle(
             (first - self._first) % self._rays,
             rays,
             self._cos_yaw * x + self._sin_yaw * y,

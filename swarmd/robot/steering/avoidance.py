@@ -183,7 +183,7 @@ class Avoidance:
     def _is_in_passage(self, walls: Array) -> bool:
         """True between walls that leave no room to go aside, where recovery keeps the middle."""
         widest = PASSAGE_WIDTHS * self._radius
-        width = passage_between(walls, _PASSAGE_FROM, _PASSAGE_TO, widest)[0]
+        width: float = passage_between(walls, _PASSAGE_FROM, _PASSAGE_TO, widest)[0]
         return self._width < width < 2.0 * widest
 
     def _update_held_up(self, now: float, share: float) -> None:

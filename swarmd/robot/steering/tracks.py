@@ -669,7 +669,9 @@ class Tracker:
             index += 2
         return index
 
-    def _add_surface(self, clusters: list[_Cluster], index: int, end: int, scan_time: float) -> int:
+    def _add_surface(
+        self, clusters: list[_Cluster], index: int, end: int, scan_time: float
+    ) -> None:
         """Add a surface as a cluster (a compact object that may move), or as a wall.
 
         A surface wider than a few robots is a wall. A surface narrower than _MIN_WIDTH counts as
@@ -694,7 +696,7 @@ class Tracker:
                 nearest = min(nearest, ranges[ray])
                 farthest = max(farthest, ranges[ray])
         if nearest > REACH:
-            return 0
+            return
 
         # 2. A surface too wide for an object.
         first = (self._run_first[index] + return_count) % return_count
@@ -703,12 +705,14 @@ class Tracker:
         self._place(last)
         chord = hypot(self._x[first] - self._x[last], self._y[first] - self._y[last])
         if chord > self._widest or farthest - nearest > self._widest:
-            return self._add_wall_sectors(index, end)
+            self._add_wall_sectors(index, end)
+            return
 
         # 3. A single return, or a surface too narrow for an object.
         cluster: _Cluster = self._mean_return(index, end, scan_time)
         if first == last or chord < _MIN_WIDTH:
-            return self._add_wall(cluster.x, cluster.y)
+            self._add_wall(cluster.x, cluster.y)
+            return
 
         # 4. An object that may move. The object reaches half of the distance between two rays
         # beyond the return at each end, on average.
@@ -720,7 +724,6 @@ class Tracker:
         cluster.ray_x = dx / to_lidar
         cluster.ray_y = dy / to_lidar
         clusters.append(cluster)
-        return 0
 
     def _mean_return(self, index: int, end: int, scan_time: float) -> _Cluster:
         """A cluster at the mean place, range and time of the returns of a surface.
@@ -765,7 +768,7 @@ class Tracker:
             visible_ends += 1
         return visible_ends
 
-    def _add_wall_sectors(self, index: int, end: int) -> int:
+    def _add_wall_sectors(self, index: int, end: int) -> None:
         """Add the nearest place of a wall in each of _SECTORS directions, in order of bearing."""
         ranges = self._returns.ranges
         bearings = self._returns.bearings
@@ -784,14 +787,14 @@ class Tracker:
                     sector = ray_sector
                 elif ranges[i] < ranges[nearest]:
                     nearest = i
-        return self._add_near_wall(nearest)
+        self._add_near_wall(nearest)
 
-    def _add_near_wall(self, i: int) -> int:
+    def _add_near_wall(self, i: int) -> None:
         """Add the place of return `i` of a wall if it is within REACH; -1: no return."""
         if i >= 0 and self._returns.ranges[i] <= REACH:
             self._place(i)
-            return self._add_wall(self._x[i], self._y[i])
-        return 0
+            self._add_wall(self._x[i], self._y[i])
+            return
 
     def _associate(self, clusters: list[_Cluster]) -> None:
         """Update each filter by the nearest cluster within its gate."""
