@@ -93,7 +93,7 @@ wheels: $(VENV)/made
 # ARGS="--python FILE --sha256 HEX" takes that Python along instead of Debian's, as for Debian 11.
 archive: wheels
 	@for machine in x86_64 aarch64; do \
-	  $(BIN)/python .ci/build-archive $$machine dist/swarmd-*_$$machine.whl $(ARGS) || exit 1; done
+	  $(BIN)/python .ci/build-archive $$machine dist/swarmd-*-abi3-*_$$machine.whl $(ARGS) || exit 1; done
 
 # URL=https://FORGE/OWNER/swarmd is the address of the project on its forge; by default that of origin.
 release: $(VENV)/tools

@@ -12,7 +12,17 @@ import numpy as np
 
 from swarmd.core import cython_shadow as cython
 from swarmd.core.angles import wrap
-from swarmd.core.cython_shadow import cos, fabs, hypot, isfinite, sin
+from swarmd.core.cython_shadow import (
+    Block,
+    Doubles,
+    Indices,
+    Table,
+    cos,
+    fabs,
+    hypot,
+    isfinite,
+    sin,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -24,19 +34,16 @@ from swarmd.sim.world.bodies import inertia, value
 _GRAVITY = 9.81
 _FRICTION = 0.8
 _AHEAD = "linear_acceleration"
-_DRAWS = cython.declare(cython.Py_ssize_t, 32)
+_DRAWS = 32
 
 
-@cython.cfunc
-@cython.exceptval(check=False)
-def _clipped(value: cython.double, limit: cython.double) -> cython.double:
+def _clipped(value: float, limit: float) -> float:
     """`value` within +- `limit`; `limit` is at least 0."""
     if fabs(value) <= limit:
         return value
     return limit if value > 0.0 else -limit
 
 
-@cython.auto_pickle(False)
 @cython.cclass
 class Bases:
     """The bases of n robots: delay, acceleration caps and servos.
@@ -49,44 +56,40 @@ class Bases:
     """
 
     # Positions and velocities of all bodies when `drive` was called.
-    before: tuple[Array, Array] = cython.declare(object, visibility="readonly")
+    before: tuple[Array, Array]
     # (n, 3) the linear, angular and lateral velocities that the servos aim at, in the base frame.
-    driven: Array = cython.declare(object, visibility="readonly")
+    driven: Array
     # (n, 2) m/s along the world's x and y, added to the velocity; callers may write the array.
-    drift: Array = cython.declare(object, visibility="readonly")
+    drift: Array
     # (n, 3) inertia along the world's x, y and yaw: the mass in kg twice, the moment in kg m2.
-    inert: Array = cython.declare(object, visibility="readonly")
+    inert: Array
     # The delay of commands in steps.
-    delay_steps = cython.declare(cython.Py_ssize_t, visibility="readonly")
-    _n: cython.Py_ssize_t
-    _dt: cython.double
-    _qpos: cython.double[::1]
-    _qvel: cython.double[::1]
-    _applied: cython.double[::1]
-    _qpos_before: cython.double[::1]
-    _qvel_before: cython.double[::1]
-    _delay_line: cython.double[:, :, ::1]  # the commands of the last steps, a ring buffer
-    _command: cython.double[:, ::1]
-    _step: cython.Py_ssize_t
-    _is_capped: cython.bint
-    _caps: cython.double[::1]  # (3,) the most that the capped command changes in a step
-    _capped: cython.double[:, ::1]  # (n, 3) the delayed command, limited in its change
-    _limits: cython.double[:, ::1]
-    _max_steps: cython.double[:, ::1]  # m/s or rad/s that a base gains in a step at most
-    _inert: cython.double[:, ::1]
-    _grip: cython.double[::1]  # N, the friction of the tyres
-    _grip_torque: cython.double[::1]  # N m
-    _driven: cython.double[:, ::1]
+    delay_steps: int
+    _n: int
+    _dt: float
+    _qpos: Doubles
+    _qvel: Doubles
+    _applied: Doubles
+    _qpos_before: Doubles
+    _qvel_before: Doubles
+    _delay_line: Block  # the commands of the last steps, a ring buffer
+    _command: Table
+    _step: int
+    _is_capped: bool
+    _caps: Doubles  # (3,) the most that the capped command changes in a step
+    _capped: Table  # (n, 3) the delayed command, limited in its change
+    _limits: Table
+    _max_steps: Table  # m/s or rad/s that a base gains in a step at most
+    _inert: Table
+    _grip: Doubles  # N, the friction of the tyres
+    _grip_torque: Doubles  # N m
+    _driven: Table
     # (n,) the share of the velocity error that a base removes in a step; below 1 if the base lags.
-    _shares: cython.double[::1]
-    _drift: cython.double[:, ::1]
+    _shares: Doubles
+    _drift: Table
 
     def __init__(
-        self,
-        actuation: Any,
-        platforms: Sequence[Platform],
-        memory: tuple[Array, ...],
-        dt: float,
+        self, actuation: Any, platforms: Sequence[Platform], memory: tuple[Array, ...], dt: float
     ) -> None:
         """Start n robots at rest.
 
@@ -95,7 +98,7 @@ class Bases:
         velocities and forces of all bodies, which this class reads and writes. The delay is rounded
         to whole steps of `dt` s.
         """
-        n: cython.Py_ssize_t = len(platforms)
+        n = len(platforms)
         self._n = n
         self._dt = dt
         self._qpos, self._qvel, self._applied = (one.data for one in memory)
@@ -108,10 +111,9 @@ class Bases:
         self._driven = self.driven.data
         self._drift = self.drift.data
 
-    @cython.cfunc
-    def _begin_commands(self, actuation: Any, platforms: Sequence[Platform]) -> cython.int:
+    def _begin_commands(self, actuation: Any, platforms: Sequence[Platform]) -> None:
         """Set delay, caps and limits of the commands: linear, angular, lateral. Returns 0."""
-        n: cython.Py_ssize_t = len(platforms)
+        n = len(platforms)
         self.delay_steps = round(actuation.delay / self._dt)
         self._delay_line = np.zeros((self.delay_steps + 1, n, 3)).data
         self._command, self._capped = (np.zeros((n, 3)).data for _ in range(2))
@@ -123,10 +125,9 @@ class Bases:
         limits = [(p.limits.linear, p.limits.angular, p.limits.lateral) for p in platforms]
         self._limits = np.array(limits, np.float64).reshape(n, 3).data
 
-    @cython.cfunc
-    def _begin_servos(self, platforms: Sequence[Platform]) -> cython.int:
+    def _begin_servos(self, platforms: Sequence[Platform]) -> None:
         """Set inertia, motors and tyres of the bases. Returns 0."""
-        n: cython.Py_ssize_t = len(platforms)
+        n = len(platforms)
         mass = np.array([value(platform, "mass") for platform in platforms], np.float64)
         moment = np.array([inertia(platform) for platform in platforms], np.float64)
         self.inert = np.stack((mass, mass, moment), axis=-1)
@@ -146,17 +147,13 @@ class Bases:
 
         They are clipped to each platform's limits, as firmware does; non-finite values become 0.
         """
-        commands: cython.double[:, ::1] = np.array(twists, np.float64, order="C").data
-        row: cython.Py_ssize_t
-        k: cython.Py_ssize_t
+        commands: Table = np.array(twists, np.float64, order="C").data
         for row in range(self._n):
             for k in range(3):
                 self._command[row, k] = commands[row, k]
 
     def drive(self) -> None:
         """Set the forces for the next step, and keep the present state; call once a step."""
-        i: cython.Py_ssize_t
-        row: cython.Py_ssize_t
         for i in range(len(self._qpos)):
             self._qpos_before[i] = self._qpos[i]
             self._qvel_before[i] = self._qvel[i]
@@ -165,15 +162,12 @@ class Bases:
             self._push(row)
         self._step += 1
 
-    @cython.cfunc
-    def _aim(self, row: cython.Py_ssize_t) -> cython.int:
+    def _aim(self, row: int) -> None:
         """Set the velocities that the servos of base `row` aim at in this step. Returns 0."""
-        k: cython.Py_ssize_t
-        target: cython.double
         # The places of the ring buffer: the place after the newest has the oldest command, which
         # was given `delay_steps` ago. Without a delay the buffer has one place.
-        newest: cython.Py_ssize_t = self._step % self._delay_line.shape[0]
-        oldest: cython.Py_ssize_t = (self._step + 1) % self._delay_line.shape[0]
+        newest = self._step % self._delay_line.shape[0]
+        oldest = (self._step + 1) % self._delay_line.shape[0]
         for k in range(3):
             self._delay_line[newest, row, k] = self._command[row, k]
         for k in range(3):
@@ -189,31 +183,26 @@ class Bases:
                 (target - self._driven[row, k]) * self._shares[row], self._max_steps[row, k]
             )
 
-    @cython.cfunc
-    def _push(self, row: cython.Py_ssize_t) -> cython.int:
+    def _push(self, row: int) -> None:
         """Set the force and the torque of base `row`, by which its velocity becomes `driven`.
 
         Both remove the error of the velocity within the step, up to the grip of the tyres.
         Returns 0.
         """
-        linear: cython.double = self._driven[row, 0]
-        lateral: cython.double = self._driven[row, 2]
+        linear = self._driven[row, 0]
+        lateral = self._driven[row, 2]
         # A base that turns drives an arc. The chord of this step's arc has the heading half a step
         # ahead.
-        yaw: cython.double = self._qpos[3 * row + 2] + self._driven[row, 1] * (self._dt / 2.0)
-        c: cython.double = cos(yaw)
-        s: cython.double = sin(yaw)
+        yaw = self._qpos[3 * row + 2] + self._driven[row, 1] * (self._dt / 2.0)
+        c = cos(yaw)
+        s = sin(yaw)
         # The error in m/s in the world frame; only bodies that hover have a drift.
-        error_x: cython.double = (
-            c * linear - s * lateral + self._drift[row, 0] - self._qvel[3 * row]
-        )
-        error_y: cython.double = (
-            s * linear + c * lateral + self._drift[row, 1] - self._qvel[3 * row + 1]
-        )
-        force_x: cython.double = error_x * self._inert[row, 0] / self._dt
-        force_y: cython.double = error_y * self._inert[row, 1] / self._dt
-        force: cython.double = hypot(force_x, force_y)
-        grip_share: cython.double = min(1.0, self._grip[row] / max(force, 1e-12))
+        error_x = c * linear - s * lateral + self._drift[row, 0] - self._qvel[3 * row]
+        error_y = s * linear + c * lateral + self._drift[row, 1] - self._qvel[3 * row + 1]
+        force_x = error_x * self._inert[row, 0] / self._dt
+        force_y = error_y * self._inert[row, 1] / self._dt
+        force = hypot(force_x, force_y)
+        grip_share = min(1.0, self._grip[row] / max(force, 1e-12))
         self._applied[3 * row] = force_x * grip_share
         self._applied[3 * row + 1] = force_y * grip_share
         self._applied[3 * row + 2] = _clipped(
@@ -228,13 +217,12 @@ def _accelerations(platform: Platform) -> tuple[Any, ...]:
     return tuple(value(platform, key) for key in (_AHEAD, "angular_acceleration", sideways))
 
 
-def _share(platform: Platform, dt: cython.double) -> Any:
+def _share(platform: Platform, dt: float) -> Any:
     """1; less for a base that follows commands as a first-order lag of `body.response_time` s."""
     time = platform.body.get("response_time", 0.0)
     return 1.0 - math.exp(-dt / time) if time > 0.0 else 1.0
 
 
-@cython.auto_pickle(False)
 @cython.cclass
 class Wheels:
     """Odometry of n bases with errors.
@@ -243,14 +231,14 @@ class Wheels:
     take half of the time of a reading.
     """
 
-    _measured: cython.double[:, :, ::1]  # (n, 3, 3) the matrices of `odometer.measurement`
-    _truth: cython.double[:, ::1]  # (n, 3) true poses at the last reading
-    _reported: cython.double[:, ::1]  # (n, 3) poses that the last reading reported, not wrapped
-    _slip: cython.double  # standard deviation
+    _measured: Block  # (n, 3, 3) the matrices of `odometer.measurement`
+    _truth: Table  # (n, 3) true poses at the last reading
+    _reported: Table  # (n, 3) poses that the last reading reported, not wrapped
+    _slip: float  # standard deviation
     _rngs: list[np.random.Generator]
     _blocks: list[Array]  # of each base the row of `_draws`, into which its generator writes
-    _draws: cython.double[:, :, ::1]  # (n, _DRAWS, 2) standard normal numbers
-    _used: cython.Py_ssize_t[::1]  # (n,) how many pairs of `_draws` are used
+    _draws: Block  # (n, _DRAWS, 2) standard normal numbers
+    _used: Indices  # (n,) how many pairs of `_draws` are used
     _slips: cython.double[2]  # factors near 1 on linear and angular motion of the present reading
 
     def __init__(
@@ -277,12 +265,7 @@ class Wheels:
         self._used = np.full(len(rngs), _DRAWS, np.intp).data  # the first reading draws
 
     def read(
-        self,
-        rows: cython.Py_ssize_t[::1],
-        poses: cython.double[:, ::1],
-        twists: cython.double[:, ::1],
-        reported: cython.double[:, ::1],
-        measured: cython.double[:, ::1],
+        self, rows: Indices, poses: Table, twists: Table, reported: Table, measured: Table
     ) -> None:
         """Fill `reported` and `measured` (m, 3): odometry's poses and twists of robots `rows` (m,).
 
@@ -292,9 +275,6 @@ class Wheels:
         if not cython.compiled:
             arrays = (np.asarray(one).data for one in (rows, poses, twists, reported, measured))
             rows, poses, twists, reported, measured = arrays
-        index: cython.Py_ssize_t
-        row: cython.Py_ssize_t
-        k: cython.Py_ssize_t
         for index in range(len(rows)):
             row = rows[index]
             self._draw_slips(row)
@@ -307,47 +287,31 @@ class Wheels:
             # The motion is in the reported pose now: the twist takes its place in `measured`.
             self._measure(row, index, twists[row, 0], twists[row, 1], twists[row, 2], measured)
 
-    @cython.cfunc
-    def _measure_motion(
-        self,
-        row: cython.Py_ssize_t,
-        index: cython.Py_ssize_t,
-        poses: cython.double[:, ::1],
-        measured: cython.double[:, ::1],
-    ) -> cython.int:
+    def _measure_motion(self, row: int, index: int, poses: Table, measured: Table) -> None:
         """Measure the motion of base `row` since the last reading. Returns 0.
 
         Sets row `index` of `measured` to the linear motion in m, the turn in rad and the lateral
         motion in m. The true motion is taken for a straight line along the mean heading.
         """
-        x: cython.double = poses[row, 0] - self._truth[row, 0]
-        y: cython.double = poses[row, 1] - self._truth[row, 1]
-        turn: cython.double = poses[row, 2] - self._truth[row, 2]
-        mid_yaw: cython.double = self._truth[row, 2] + turn / 2.0
-        c: cython.double = cos(mid_yaw)
-        s: cython.double = sin(mid_yaw)
-        return self._measure(row, index, c * x + s * y, turn, c * y - s * x, measured)
+        x = poses[row, 0] - self._truth[row, 0]
+        y = poses[row, 1] - self._truth[row, 1]
+        turn = poses[row, 2] - self._truth[row, 2]
+        mid_yaw = self._truth[row, 2] + turn / 2.0
+        c = cos(mid_yaw)
+        s = sin(mid_yaw)
+        self._measure(row, index, c * x + s * y, turn, c * y - s * x, measured)
 
-    @cython.cfunc
-    def _add_motion(
-        self,
-        row: cython.Py_ssize_t,
-        linear: cython.double,
-        turn: cython.double,
-        lateral: cython.double,
-    ) -> cython.int:
+    def _add_motion(self, row: int, linear: float, turn: float, lateral: float) -> None:
         """Add a measured motion in m and rad to the reported pose of base `row`. Returns 0."""
-        mid_yaw: cython.double = self._reported[row, 2] + turn / 2.0
-        c: cython.double = cos(mid_yaw)
-        s: cython.double = sin(mid_yaw)
+        mid_yaw = self._reported[row, 2] + turn / 2.0
+        c = cos(mid_yaw)
+        s = sin(mid_yaw)
         self._reported[row, 0] += c * linear - s * lateral
         self._reported[row, 1] += s * linear + c * lateral
         self._reported[row, 2] += turn
 
-    @cython.cfunc
-    def _draw_slips(self, row: cython.Py_ssize_t) -> cython.int:
+    def _draw_slips(self, row: int) -> None:
         """Set `_slips` for a reading of base `row`; returns 0."""
-        k: cython.Py_ssize_t
         if self._used[row] == _DRAWS:
             self._rngs[row].standard_normal(out=self._blocks[row])
             self._used[row] = 0
@@ -355,19 +319,11 @@ class Wheels:
             self._slips[k] = 1.0 + self._slip * self._draws[row, self._used[row], k]
         self._used[row] += 1
 
-    @cython.cfunc
     def _measure(
-        self,
-        row: cython.Py_ssize_t,
-        index: cython.Py_ssize_t,
-        linear: cython.double,
-        angular: cython.double,
-        lateral: cython.double,
-        measured: cython.double[:, ::1],
-    ) -> cython.int:
+        self, row: int, index: int, linear: float, angular: float, lateral: float, measured: Table
+    ) -> None:
         """Set row `index` of `measured` as the wheels of robot `row` measure a motion or twist."""
-        m: cython.double[:, :, ::1] = self._measured
+        m = self._measured
         measured[index, 0] = (linear * m[row, 0, 0] + angular * m[row, 1, 0]) * self._slips[0]
         measured[index, 1] = (linear * m[row, 0, 1] + angular * m[row, 1, 1]) * self._slips[1]
         measured[index, 2] = lateral * m[row, 2, 2]
-        return 0

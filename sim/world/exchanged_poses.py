@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 
-from swarmd.core.neighbor_places import NeighborPlaces
+from swarmd.core.neighbor_places import NeighborPlaces, TimedPose
 from swarmd.core.values import Array, Neighbor, PeerPlace, Pose, SharedPose
 from swarmd.sim.world.seeding import generator
 
@@ -32,7 +32,9 @@ class ExchangedPoses:
         self._heard = [Neighbor(robot, 0.0) for robot in ids]
         self._rngs = [generator(seed, "poses", robot) for robot in ids]
         self._gap_phases = [rng.uniform(0.0, _GAP_PERIOD) for rng in self._rngs]
-        self._known = [NeighborPlaces() for _ in ids]  # by row, what a robot knows
+        # By row, what a robot knows.
+        self._own: list[TimedPose | None] = [None for _ in ids]
+        self._known = [NeighborPlaces() for _ in ids]
 
     def measure(
         self,
@@ -49,13 +51,14 @@ class ExchangedPoses:
             sound = poses[row] + self._rngs[row].normal(0.0, (_SD, _SD, _YAW_SD))
             x, y, yaw = tracked(row, sound, now).tolist()
             if (now + self._gap_phases[row]) % _GAP_PERIOD >= _GAP:
-                self._known[row].on_pose(
-                    SharedPose(now, Pose(x, y, yaw), _ERROR, _YAW_ERROR, _FRAME), now
-                )
+                shared = SharedPose(now, Pose(x, y, yaw), _ERROR, _YAW_ERROR, _FRAME)
+                if shared.is_valid:
+                    self._own[row] = TimedPose(shared, now)
                 place = PeerPlace(self._heard[row].id, _FRAME, x, y, _ERROR, 0.0, yaw)
                 for known in self._known:
                     known.on_place(place, now)
 
     def neighbors(self, row: int, neighbors: Iterable[int], now: float) -> tuple[Neighbor, ...]:
         """The robots `neighbors` (rows) with their places as robot `row` computes them at `now`."""
-        return self._known[row].complete(tuple([self._heard[other] for other in neighbors]), now)
+        heard = tuple([self._heard[other] for other in neighbors])
+        return self._known[row].complete(heard, self._own[row], now)

@@ -17,6 +17,11 @@ from swarmd.core import cython_shadow as cython
 from swarmd.core.angles import wrap
 from swarmd.core.cython_shadow import (
     HUGE_VAL,
+    Block,
+    Doubles,
+    IndexTable,
+    Indices,
+    Table,
     asin,
     atan2,
     ceil,
@@ -39,72 +44,71 @@ BLOCK = 6
 """Rays in one packet of an LDS, which its driver loses together."""
 
 # rad added to each interval, so that no ray passes between two surfaces that share a corner.
-_BEARING_MARGIN = cython.declare(cython.double, 1e-12)
+_BEARING_MARGIN = 1e-12
 # m2: a surface whose `side` (see `_meet_surface`) is nearer to 0 than this is seen edge-on and
 # ignored.
-_MIN_SIDE = cython.declare(cython.double, 1e-10)
-_ROUNDING = cython.declare(cython.double, 1e-6)  # m, added to ranges of interest
-_WIDE = cython.declare(cython.double, 1.5)  # rad: half of a sector that is taken for all around
-_BLOCK = cython.declare(cython.Py_ssize_t, BLOCK)
+_MIN_SIDE = 1e-10
+_ROUNDING = 1e-6  # m, added to ranges of interest
+_WIDE = 1.5  # rad: half of a sector that is taken for all around
+_BLOCK = BLOCK
 
 
-@cython.auto_pickle(False)
 @cython.cclass
 class Caster:
     """Casts the rays of one kind of sensor; a grid finds the bodies within its reach."""
 
-    _rays: cython.Py_ssize_t
-    _number: cython.Py_ssize_t[::1]
-    _cos: cython.double[::1]
-    _sin: cython.double[::1]
-    _bearings: cython.double[::1]
-    _is_even: cython.bint
-    _ray_step: cython.double
-    _range_min: cython.double
-    _range_max: cython.double
-    _sensor_x: cython.double  # place of the sensor in the base frame
-    _sensor_y: cython.double
-    _walls: cython.double[:, ::1]
-    _poles: cython.double[:, ::1]
+    _rays: int
+    _number: Indices
+    _cos: Doubles
+    _sin: Doubles
+    _bearings: Doubles
+    _is_even: bool
+    _ray_step: float
+    _range_min: float
+    _range_max: float
+    _sensor_x: float  # place of the sensor in the base frame
+    _sensor_y: float
+    _walls: Table
+    _poles: Table
     # Bodies: the polygons, then the discs.
-    _polygon_count: cython.Py_ssize_t
-    _body_count: cython.Py_ssize_t
-    _corner_count: cython.Py_ssize_t
-    _edges: cython.double[:, :, ::1]  # start, and vector to the end, in the owner's frame
-    _discs: cython.double[:, ::1]  # x, y, radius in the owner's frame
-    _owner: cython.Py_ssize_t[::1]
-    _reach: cython.double[::1]  # of a body from its owner's origin, and the range of the sensor
-    _max_reach: cython.double
-    _placed_edges: cython.double[:, :, ::1]  # in the world frame, as all that follow
-    _disc_centers: cython.double[:, ::1]
-    _body_places: cython.double[:, ::1]  # x, y of the owner; NaN: absent
-    _step: cython.Py_ssize_t  # at whose poses `Sweeps` placed the bodies; -1: at others
+    _polygon_count: int
+    _body_count: int
+    _corner_count: int
+    _edges: Block  # start, and vector to the end, in the owner's frame
+    _discs: Table  # x, y, radius in the owner's frame
+    _owner: Indices
+    _reach: Doubles  # of a body from its owner's origin, and the range of the sensor
+    _max_reach: float
+    _placed_edges: Block  # in the world frame, as all that follow
+    _disc_centers: Table
+    _body_places: Table  # x, y of the owner; NaN: absent
+    _step: int  # at whose poses `Sweeps` placed the bodies; -1: at others
     # The grid: the bodies of cell c are _members[_cell_begin[c]] to _members[_cell_begin[c + 1]].
-    _cell_begin: cython.Py_ssize_t[::1]
-    _members: cython.Py_ssize_t[::1]
-    _cell_of: cython.Py_ssize_t[::1]
-    _grid_columns: cython.Py_ssize_t
-    _grid_rows: cython.Py_ssize_t
-    _west: cython.double
-    _south: cython.double
-    _cell_size: cython.double
+    _cell_begin: Indices
+    _members: Indices
+    _cell_of: Indices
+    _grid_columns: int
+    _grid_rows: int
+    _west: float
+    _south: float
+    _cell_size: float
     # The sensor that is cast now: its pose in the world frame, and one over the distance of each
     # ray's nearest return.
-    _x: cython.double
-    _y: cython.double
-    _yaw: cython.double
-    _cos_yaw: cython.double
-    _sin_yaw: cython.double
-    _inverse: cython.double[::1]
+    _x: float
+    _y: float
+    _yaw: float
+    _cos_yaw: float
+    _sin_yaw: float
+    _inverse: Doubles
     # The sector that is cast now: first index and number of its rays, and the cone around: cosine
     # and sine of its middle in the world frame and of half its width. `_is_wide`: no cone is used.
-    _first: cython.Py_ssize_t
-    _count: cython.Py_ssize_t
-    _is_wide: cython.bint
-    _cos_middle: cython.double
-    _sin_middle: cython.double
-    _cos_half: cython.double
-    _sin_half: cython.double
+    _first: int
+    _count: int
+    _is_wide: bool
+    _cos_middle: float
+    _sin_middle: float
+    _cos_half: float
+    _sin_half: float
 
     def __init__(
         self,
@@ -142,8 +146,7 @@ class Caster:
         self._max_reach = max(float(reaches.max(initial=0.0)), 0.1)
         self._make_buffers(edges.shape, len(discs))
 
-    @cython.cfunc
-    def _set_rays(self, spec: ScanSpec, rays: Any) -> cython.int:
+    def _set_rays(self, spec: ScanSpec, rays: Any) -> None:
         """Set the rays and the sensor; returns 0."""
         n = len(spec.bearings)
         self._rays = n
@@ -157,31 +160,24 @@ class Caster:
         self._range_max = spec.range_max
         self._sensor_x, self._sensor_y = spec.offset
 
-    @cython.cfunc
-    def _make_buffers(self, edges_shape: tuple[int, ...], discs: cython.Py_ssize_t) -> cython.int:
+    def _make_buffers(self, edges_shape: tuple[int, ...], discs: int) -> None:
         """Make the buffers for the bodies in the world frame, the grid and a scan; returns 0."""
         self._step = -1
         self._placed_edges = np.empty(edges_shape).data
         self._disc_centers = np.empty((discs, 2)).data
         self._body_places = np.empty((self._body_count, 2)).data
-        grid_side: cython.Py_ssize_t = int(self._body_count**0.5) + 2
+        grid_side = int(self._body_count**0.5) + 2
         self._cell_begin = np.empty(grid_side * grid_side + 1, np.intp).data
         self._members = np.empty(self._body_count, np.intp).data
         self._cell_of = np.empty(self._body_count, np.intp).data
         self._inverse = np.empty(self._rays).data
 
-    def cast(
-        self,
-        poses: cython.double[:, ::1],
-        observers: cython.Py_ssize_t[::1],
-        ranges: cython.double[:, ::1],
-    ) -> None:
+    def cast(self, poses: Table, observers: Indices, ranges: Table) -> None:
         """Cast all rays of robots `observers` (m,) into `ranges` (m, rays), in the order of rays.
 
         `poses` (n, 3) of all bodies; a row of NaN is absent. Ranges in m; +inf: no return within
         range_max, -inf: nearer than range_min.
         """
-        request: cython.Py_ssize_t
         if not cython.compiled:
             poses, observers, ranges = (np.asarray(one).data for one in (poses, observers, ranges))
         if not self._rays or not len(observers):
@@ -191,22 +187,14 @@ class Caster:
         for request in range(len(observers)):
             self._cast_sector(poses, observers[request], 0, self._rays, ranges, request)
 
-    @cython.cfunc
     def _cast_sector(
-        self,
-        poses: cython.double[:, ::1],
-        robot: cython.Py_ssize_t,
-        first: cython.Py_ssize_t,
-        count: cython.Py_ssize_t,
-        ranges: cython.double[:, ::1],
-        row: cython.Py_ssize_t,
-    ) -> cython.int:
+        self, poses: Table, robot: int, first: int, count: int, ranges: Table, row: int
+    ) -> None:
         """Cast `count` rays of a robot into row `row` of `ranges`. Returns 0, always.
 
         The rays are those from index `first` on, in order of bearing. `_set_bodies` must have been
         called with `poses`.
         """
-        i: cython.Py_ssize_t
         self._first = first
         self._count = count
         for i in range(count):
@@ -219,14 +207,10 @@ class Caster:
             self._meet_bodies(robot)
             for i in range(len(self._poles)):
                 self._meet_circle(self._poles[i, 0], self._poles[i, 1], self._poles[i, 2])
-        return self._write_ranges(ranges, row)
+        self._write_ranges(ranges, row)
 
-    @cython.cfunc
-    def _write_ranges(self, ranges: cython.double[:, ::1], row: cython.Py_ssize_t) -> cython.int:
+    def _write_ranges(self, ranges: Table, row: int) -> None:
         """Write the ranges of the sector's rays into a row of `ranges`; returns 0."""
-        i: cython.Py_ssize_t
-        index: cython.Py_ssize_t
-        distance: cython.double
         for i in range(self._count):
             distance = HUGE_VAL
             if self._inverse[i] > 0.0:
@@ -240,23 +224,16 @@ class Caster:
             if index >= self._rays:
                 index -= self._rays
             ranges[row, self._number[index]] = distance
-        return 0
 
-    @cython.cfunc
-    @cython.boundscheck(False)
-    def _set_bodies(self, poses: cython.double[:, ::1]) -> cython.int:
+    def _set_bodies(self, poses: Table) -> None:
         """Place all bodies in the world frame and in the grid; `poses` (n, 3) of their owners.
 
         Bodies are the polygons, then the discs, of robots and movable boxes. Returns 0, always.
         """
-        body: cython.Py_ssize_t
-        owner: cython.Py_ssize_t
-        x: cython.double
-        y: cython.double
-        west: cython.double = HUGE_VAL
-        east: cython.double = -HUGE_VAL
-        south: cython.double = HUGE_VAL
-        north: cython.double = -HUGE_VAL
+        west = HUGE_VAL
+        east = -HUGE_VAL
+        south = HUGE_VAL
+        north = -HUGE_VAL
         for body in range(self._body_count):
             owner = self._owner[body]
             x = poses[owner, 0]
@@ -273,17 +250,12 @@ class Caster:
                 self._place_polygon(body, x, y, poses[owner, 2])
             else:
                 self._place_disc(body - self._polygon_count, x, y, poses[owner, 2])
-        return self._fill_grid(west, east, south, north)
+        self._fill_grid(west, east, south, north)
 
-    @cython.cfunc
-    @cython.boundscheck(False)
-    def _place_polygon(
-        self, body: cython.Py_ssize_t, x: cython.double, y: cython.double, yaw: cython.double
-    ) -> cython.int:
+    def _place_polygon(self, body: int, x: float, y: float, yaw: float) -> None:
         """Rotate and shift the start of each edge, and rotate the vector to its end. Returns 0."""
-        i: cython.Py_ssize_t
-        c: cython.double = cos(yaw)
-        s: cython.double = sin(yaw)
+        c = cos(yaw)
+        s = sin(yaw)
         for i in range(self._corner_count):
             self._placed_edges[body, i, 0] = (
                 c * self._edges[body, i, 0] - s * self._edges[body, i, 1]
@@ -298,21 +270,14 @@ class Caster:
                 s * self._edges[body, i, 2] + c * self._edges[body, i, 3]
             )
 
-    @cython.cfunc
-    @cython.boundscheck(False)
-    def _place_disc(
-        self, disc: cython.Py_ssize_t, x: cython.double, y: cython.double, yaw: cython.double
-    ) -> cython.int:
+    def _place_disc(self, disc: int, x: float, y: float, yaw: float) -> None:
         """Rotate and shift the centre of a disc; returns 0."""
-        c: cython.double = cos(yaw)
-        s: cython.double = sin(yaw)
+        c = cos(yaw)
+        s = sin(yaw)
         self._disc_centers[disc, 0] = (c * self._discs[disc, 0] - s * self._discs[disc, 1]) + x
         self._disc_centers[disc, 1] = (s * self._discs[disc, 0] + c * self._discs[disc, 1]) + y
 
-    @cython.cfunc
-    def _fill_grid(
-        self, west: cython.double, east: cython.double, south: cython.double, north: cython.double
-    ) -> cython.int:
+    def _fill_grid(self, west: float, east: float, south: float, north: float) -> None:
         """Sort the bodies by grid cell; the bounds are those of the bodies' places in m.
 
         Without a body `west` is above `east`, and the grid is empty. A cell is at least as wide as
@@ -322,7 +287,7 @@ class Caster:
         self._grid_columns = 0
         self._grid_rows = 0
         if not west <= east:
-            return 0
+            return
         # `_cell_begin` has room for about as many cells as bodies.
         self._cell_size = max(
             self._max_reach, max(east - west, north - south) / sqrt(self._body_count)
@@ -331,16 +296,12 @@ class Caster:
         self._south = south
         self._grid_columns = cython.cast(cython.Py_ssize_t, (east - west) / self._cell_size) + 1
         self._grid_rows = cython.cast(cython.Py_ssize_t, (north - south) / self._cell_size) + 1
-        return self._sort_bodies()
+        self._sort_bodies()
 
-    @cython.cfunc
-    @cython.boundscheck(False)
-    def _sort_bodies(self) -> cython.int:
+    def _sort_bodies(self) -> None:
         """Set `_members` and `_cell_begin` by a counting sort; returns 0."""
-        body: cython.Py_ssize_t
-        cell: cython.Py_ssize_t
-        cells: cython.Py_ssize_t = self._grid_columns * self._grid_rows
-        total: cython.Py_ssize_t = 0
+        cells = self._grid_columns * self._grid_rows
+        total = 0
         # 1. `_cell_begin` holds the number of bodies of each cell.
         for cell in range(cells + 1):
             self._cell_begin[cell] = 0
@@ -360,19 +321,14 @@ class Caster:
             if cell >= 0:
                 self._cell_begin[cell] -= 1
                 self._members[self._cell_begin[cell]] = body
-        return 0
 
-    @cython.cfunc
-    @cython.inline
-    @cython.exceptval(check=False)
-    def _cell_at(self, x: cython.double, y: cython.double) -> cython.Py_ssize_t:
+    def _cell_at(self, x: float, y: float) -> int:
         """The number of the grid cell of a finite place within the grid."""
         return self._grid_columns * cython.cast(
             cython.Py_ssize_t, (y - self._south) / self._cell_size
         ) + cython.cast(cython.Py_ssize_t, (x - self._west) / self._cell_size)
 
-    @cython.cfunc
-    def _set_sensor(self, x: cython.double, y: cython.double, yaw: cython.double) -> cython.int:
+    def _set_sensor(self, x: float, y: float, yaw: float) -> None:
         """Set the pose of the sensor, from the pose of its robot."""
         self._cos_yaw = cos(yaw)
         self._sin_yaw = sin(yaw)
@@ -380,45 +336,33 @@ class Caster:
         self._y = y + (self._sin_yaw * self._sensor_x + self._cos_yaw * self._sensor_y)
         self._yaw = wrap(yaw)
 
-    @cython.cfunc
-    def _set_cone(self) -> cython.int:
+    def _set_cone(self) -> None:
         """The cone around the sector's rays: what lies outside needs no bearings."""
-        low: cython.double = self._bearings[self._first]
-        high: cython.double = self._bearings[self._first + self._count - 1]
-        middle: cython.double = self._yaw + 0.5 * (low + high)
-        half: cython.double = 0.5 * (high - low)
+        low = self._bearings[self._first]
+        high = self._bearings[self._first + self._count - 1]
+        middle = self._yaw + 0.5 * (low + high)
+        half = 0.5 * (high - low)
         self._is_wide = half > _WIDE
         self._cos_middle = cos(middle)
         self._sin_middle = sin(middle)
         self._cos_half = cos(half)
         self._sin_half = sin(half)
 
-    @cython.cfunc
-    def _outside(self, x: cython.double, y: cython.double, side: cython.double) -> cython.double:
+    def _outside(self, x: float, y: float, side: float) -> float:
         """How far x, y from the sensor lies outside the left (1) or right (-1) edge of the cone."""
-        along: cython.double = self._cos_middle * x + self._sin_middle * y
-        left: cython.double = self._cos_middle * y - self._sin_middle * x
+        along = self._cos_middle * x + self._sin_middle * y
+        left = self._cos_middle * y - self._sin_middle * x
         return side * left * self._cos_half - along * self._sin_half
 
-    @cython.cfunc
-    @cython.inline
-    def _is_outside(self, x: cython.double, y: cython.double, radius: cython.double) -> cython.bint:
+    def _is_outside(self, x: float, y: float, radius: float) -> bool:
         """True if a disc at x, y from the sensor does not meet the cone."""
         if self._is_wide:
             return False
-        along: cython.double = self._cos_middle * x + self._sin_middle * y
-        left: cython.double = self._cos_middle * y - self._sin_middle * x
+        along = self._cos_middle * x + self._sin_middle * y
+        left = self._cos_middle * y - self._sin_middle * x
         return fabs(left * self._cos_half) - along * self._sin_half > radius + _ROUNDING
 
-    @cython.cfunc
-    @cython.boundscheck(False)
-    def _meet_walls(self) -> cython.int:
-        i: cython.Py_ssize_t
-        x: cython.double
-        y: cython.double
-        end_x: cython.double
-        end_y: cython.double
-        side: cython.double
+    def _meet_walls(self) -> None:
         for i in range(len(self._walls)):
             x = self._walls[i, 0] - self._x
             y = self._walls[i, 1] - self._y
@@ -435,30 +379,24 @@ class Caster:
                     continue
                 self._meet_surface(x, y, self._walls[i, 2], self._walls[i, 3], side)
 
-    @cython.cfunc
-    @cython.boundscheck(False)
-    def _meet_bodies(self, carrier: cython.Py_ssize_t) -> cython.int:
+    def _meet_bodies(self, carrier: int) -> None:
         """Meet the bodies in the sensor's grid cell and the eight cells around; returns 0.
 
         To meet a shape is to note its distance at each ray that hits it. `carrier`: the row of the
         robot that carries the sensor.
         """
-        grid_row: cython.Py_ssize_t
-        south: cython.Py_ssize_t
-        north: cython.Py_ssize_t
-        member: cython.Py_ssize_t
         if not self._grid_columns:
-            return 0
-        sensor_row: cython.Py_ssize_t = cython.cast(
+            return
+        sensor_row = cython.cast(
             cython.Py_ssize_t, floor((self._y - self._south) / self._cell_size)
         )
-        sensor_column: cython.Py_ssize_t = cython.cast(
+        sensor_column = cython.cast(
             cython.Py_ssize_t, floor((self._x - self._west) / self._cell_size)
         )
         # Columns `west` to `east` - 1 and rows `south` to `north` - 1 of the grid. For a sensor far
         # outside the grid, `east` equals `west` or `north` is not above `south`: no members.
-        west: cython.Py_ssize_t = min(max(sensor_column - 1, 0), self._grid_columns)
-        east: cython.Py_ssize_t = max(min(sensor_column + 2, self._grid_columns), west)
+        west = min(max(sensor_column - 1, 0), self._grid_columns)
+        east = max(min(sensor_column + 2, self._grid_columns), west)
         south = max(sensor_row - 1, 0)
         north = min(sensor_row + 2, self._grid_rows)
         for grid_row in range(south, north):
@@ -469,22 +407,19 @@ class Caster:
             ):
                 self._meet_body(self._members[member], carrier)
 
-    @cython.cfunc
-    @cython.inline
-    @cython.boundscheck(False)
-    def _meet_body(self, body: cython.Py_ssize_t, carrier: cython.Py_ssize_t) -> cython.int:
+    def _meet_body(self, body: int, carrier: int) -> None:
         """Meet a body, unless it is out of reach, outside the cone or a polygon of the carrier.
 
         `_meet_circle` leaves out the carrier's disc, which is around the sensor. Returns 0.
         """
-        disc: cython.Py_ssize_t = body - self._polygon_count  # negative for a polygon
-        radius: cython.double = self._reach[body] - self._range_max
-        x: cython.double = self._body_places[body, 0] - self._x
-        y: cython.double = self._body_places[body, 1] - self._y
+        disc = body - self._polygon_count  # negative for a polygon
+        radius = self._reach[body] - self._range_max
+        x = self._body_places[body, 0] - self._x
+        y = self._body_places[body, 1] - self._y
         if x * x + y * y > self._reach[body] * self._reach[body]:
-            return 0
+            return
         if self._is_outside(x, y, radius):
-            return 0
+            return
         if disc >= 0:
             self._meet_circle(
                 self._disc_centers[disc, 0], self._disc_centers[disc, 1], self._discs[disc, 2]
@@ -492,16 +427,8 @@ class Caster:
         elif self._owner[body] != carrier:
             self._meet_polygon(body)
 
-    @cython.cfunc
-    @cython.boundscheck(False)
-    def _meet_polygon(self, body: cython.Py_ssize_t) -> cython.int:
+    def _meet_polygon(self, body: int) -> None:
         """Note the edges of a polygon that face the sensor; see `_meet_surface`."""
-        i: cython.Py_ssize_t
-        x: cython.double
-        y: cython.double
-        along_x: cython.double
-        along_y: cython.double
-        side: cython.double
         for i in range(self._corner_count):
             x = self._placed_edges[body, i, 0]
             y = self._placed_edges[body, i, 1]
@@ -513,15 +440,9 @@ class Caster:
             if side < -_MIN_SIDE:
                 self._meet_surface(x - self._x, y - self._y, along_x, along_y, side)
 
-    @cython.cfunc
     def _meet_surface(
-        self,
-        x: cython.double,
-        y: cython.double,
-        along_x: cython.double,
-        along_y: cython.double,
-        side: cython.double,
-    ) -> cython.int:
+        self, x: float, y: float, along_x: float, along_y: float, side: float
+    ) -> None:
         """Note the distance of a flat surface at each ray of the sector that hits it. Returns 0.
 
         (`x`, `y`): the vector in m from the sensor to the start of the surface, in the world frame.
@@ -530,28 +451,19 @@ class Caster:
         is in front of the surface.
         """
         # The surface covers the bearings from `high - width` to `high` (rad).
-        high: cython.double = atan2(y, x) - self._yaw
-        width: cython.double = atan2(-side, x * (x + along_x) + y * (y + along_y))
+        high = atan2(y, x) - self._yaw
+        width = atan2(-side, x * (x + along_x) + y * (y + along_y))
         # A ray in the direction `d` meets the line of the surface at the distance
         # cross(start, along) / cross(d, along), so 1 / distance = cross(d, along) / side. This is a
         # weighted sum of the cosine and the sine of the ray's bearing, with the weights:
-        by_cos: cython.double = (self._cos_yaw * along_y - self._sin_yaw * along_x) / side
-        by_sin: cython.double = (self._cos_yaw * along_x + self._sin_yaw * along_y) / -side
-        first: cython.Py_ssize_t = self._ray_index((high - width) - _BEARING_MARGIN)
-        rays: cython.Py_ssize_t = self._ray_index(high + _BEARING_MARGIN) - first
+        by_cos = (self._cos_yaw * along_y - self._sin_yaw * along_x) / side
+        by_sin = (self._cos_yaw * along_x + self._sin_yaw * along_y) / -side
+        first = self._ray_index((high - width) - _BEARING_MARGIN)
+        rays = self._ray_index(high + _BEARING_MARGIN) - first
         # `first` counts over the four revolutions, the argument from the sector's first ray.
-        return self._note_surface((first - self._first) % self._rays, rays, by_cos, by_sin)
+        self._note_surface((first - self._first) % self._rays, rays, by_cos, by_sin)
 
-    @cython.cfunc
-    @cython.inline
-    @cython.boundscheck(False)
-    def _note_surface(
-        self,
-        begin: cython.Py_ssize_t,
-        rays: cython.Py_ssize_t,
-        by_cos: cython.double,
-        by_sin: cython.double,
-    ) -> cython.int:
+    def _note_surface(self, begin: int, rays: int, by_cos: float, by_sin: float) -> None:
         """Note a flat surface at `rays` rays from ray `begin` on. Returns 0.
 
         Rays count from the sector's first ray on, around the full circle. Those of the surface may
@@ -559,10 +471,7 @@ class Caster:
         the rays from `begin` on, and a second pass the rays past a full circle. 1 / distance is the
         sum of the cosine and the sine of the bearing, with the weights `by_cos` and `by_sin`.
         """
-        end: cython.Py_ssize_t = begin + rays
-        i: cython.Py_ssize_t
-        index: cython.Py_ssize_t
-        inverse: cython.double
+        end = begin + rays
         for _ in range(2):
             for i in range(begin, min(end, self._count)):
                 index = self._first + i
@@ -573,10 +482,8 @@ class Caster:
                     self._inverse[i] = inverse
             begin = 0
             end = end - self._rays
-        return 0
 
-    @cython.cfunc
-    def _meet_circle(self, x: cython.double, y: cython.double, radius: cython.double) -> cython.int:
+    def _meet_circle(self, x: float, y: float, radius: float) -> None:
         """Note the distance of a circle at each ray of the sector that hits the circle. Returns 0.
 
         `x`, `y`: the centre of the circle in the world frame. A circle around the sensor is left
@@ -585,18 +492,16 @@ class Caster:
         x -= self._x
         y -= self._y
         # m2: the square of the distance along a tangent from the sensor to the circle.
-        tangent_squared: cython.double = x * x + y * y - radius * radius
-        middle: cython.double
-        half: cython.double
-        is_around_sensor: cython.bint = not tangent_squared > 0.0
+        tangent_squared = x * x + y * y - radius * radius
+        is_around_sensor = not tangent_squared > 0.0
         if is_around_sensor or self._is_outside(x, y, radius):  # outside the sector's cone
-            return 0
+            return
         # The circle covers the bearings `middle` +- `half` (rad).
         middle = atan2(y, x) - self._yaw
         half = asin(radius / hypot(x, y))
-        first: cython.Py_ssize_t = self._ray_index((middle - half) - _BEARING_MARGIN)
-        rays: cython.Py_ssize_t = self._ray_index((middle + half) + _BEARING_MARGIN) - first
-        return self._note_circle(
+        first = self._ray_index((middle - half) - _BEARING_MARGIN)
+        rays = self._ray_index((middle + half) + _BEARING_MARGIN) - first
+        self._note_circle(
             (first - self._first) % self._rays,
             rays,
             self._cos_yaw * x + self._sin_yaw * y,
@@ -605,29 +510,22 @@ class Caster:
             tangent_squared,
         )
 
-    @cython.cfunc
-    @cython.inline
-    @cython.boundscheck(False)
     def _note_circle(
         self,
-        begin: cython.Py_ssize_t,
-        rays: cython.Py_ssize_t,
-        ahead: cython.double,
-        left: cython.double,
-        radius: cython.double,
-        tangent_squared: cython.double,
-    ) -> cython.int:
+        begin: int,
+        rays: int,
+        ahead: float,
+        left: float,
+        radius: float,
+        tangent_squared: float,
+    ) -> None:
         """Note a circle at `rays` rays from ray `begin` on (see `_note_surface`). Returns 0.
 
         `ahead`, `left`: the centre in the robot's axes. A ray meets the circle twice. The product
         of both distances is `tangent_squared`, so 1 / nearer = farther / tangent_squared.
         """
-        end: cython.Py_ssize_t = begin + rays
-        i: cython.Py_ssize_t
-        index: cython.Py_ssize_t
-        aside: cython.double  # the distance of the centre from the ray
-        farther: cython.double
-        inverse: cython.double
+        end = begin + rays
+        aside: float  # the distance of the centre from the ray
         for _ in range(2):
             for i in range(begin, min(end, self._count)):
                 index = self._first + i
@@ -641,15 +539,11 @@ class Caster:
                     self._inverse[i] = inverse
             begin = 0
             end = end - self._rays
-        return 0
 
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _ray_index(self, bearing: cython.double) -> cython.Py_ssize_t:
+    def _ray_index(self, bearing: float) -> int:
         """The index of the first ray at `bearing` rad or beyond, over the four revolutions."""
-        low: cython.Py_ssize_t = 0
-        high: cython.Py_ssize_t = len(self._bearings)
-        middle: cython.Py_ssize_t
+        low = 0
+        high = len(self._bearings)
         if self._is_even:
             return cython.cast(
                 cython.Py_ssize_t, ceil((bearing - self._bearings[0]) / self._ray_step)
@@ -669,7 +563,6 @@ def _radii(edges: Array, discs: Array) -> Array:
     return np.concatenate((polygons, np.hypot(discs[:, 0], discs[:, 1]) + discs[:, 2]))
 
 
-@cython.auto_pickle(False)
 @cython.cclass
 class Sweeps:
     """The scans in progress of one kind of rotating sensor, in order of their first steps.
@@ -679,14 +572,14 @@ class Sweeps:
     """
 
     _caster: Caster
-    _steps: cython.Py_ssize_t  # of a sweep
+    _steps: int  # of a sweep
     # By the steps since the begin of a scan: first index and number of the rays of the sector.
-    _first: cython.Py_ssize_t[::1]
-    _counts: cython.Py_ssize_t[::1]
-    _ranges: cython.double[:, ::1]
+    _first: Indices
+    _counts: Indices
+    _ranges: Table
     # The scans: robot, first step, and row of `_ranges`.
-    _scans: cython.Py_ssize_t[:, ::1]
-    _count: cython.Py_ssize_t
+    _scans: IndexTable
+    _count: int
 
     def __init__(self, caster: Caster, first: Any, counts: Any, ranges: Array) -> None:
         """Start without scans; `caster` casts their rays.
@@ -702,28 +595,20 @@ class Sweeps:
         self._ranges = ranges.data
         self._scans = np.empty((len(ranges), 3), np.intp).data
 
-    def begin(
-        self, robot: cython.Py_ssize_t, step: cython.Py_ssize_t, row: cython.Py_ssize_t
-    ) -> None:
+    def begin(self, robot: int, step: int, row: int) -> None:
         """Begin a scan of `robot` at `step`, the latest so far, in `row` of the ranges."""
-        place: cython.Py_ssize_t = self._count
+        place = self._count
         self._scans[place, 0] = robot
         self._scans[place, 1] = step
         self._scans[place, 2] = row
         self._count += 1
 
-    def advance(
-        self, poses: cython.double[:, ::1], step: cython.Py_ssize_t, ends_only: cython.bint
-    ) -> list[tuple[int, int]]:
+    def advance(self, poses: Table, step: int, ends_only: bool) -> list[tuple[int, int]]:
         """Cast the rays of `step`, and return robot and row of each scan that ends.
 
         `poses` as in `Caster.cast`, the same in all calls for a step. `ends_only`: the rays of
         scans that do not end are left to a later call for this step.
         """
-        i: cython.Py_ssize_t
-        robot: cython.Py_ssize_t
-        row: cython.Py_ssize_t
-        sector: cython.Py_ssize_t
         ended: list[Any] = []
         caster: Caster = self._caster
         if not cython.compiled:
@@ -753,18 +638,14 @@ class Sweeps:
             self._remove_first(len(ended))
         return ended
 
-    @cython.cfunc
-    def _remove_first(self, count: cython.Py_ssize_t) -> cython.int:
+    def _remove_first(self, count: int) -> None:
         """Remove the first `count` scans; returns 0."""
-        i: cython.Py_ssize_t
-        k: cython.Py_ssize_t
         self._count -= count
         for i in range(self._count):
             for k in range(3):
                 self._scans[i, k] = self._scans[i + count, k]
 
 
-@cython.auto_pickle(False)
 @cython.cclass
 class Errors:
     """The errors of all sensors with the same number of rays, and what their drivers report.
@@ -773,18 +654,18 @@ class Errors:
     writes standard normal numbers, and numbers that are uniform from 0 to 1, into them.
     """
 
-    _near: cython.double
-    _near_sd: cython.double
-    _far_sd: cython.double
-    _resolution: cython.double
-    _dropout: cython.double
-    _factors: cython.double[::1]
-    _reach: cython.double[:, ::1]
-    _lost: cython.double[::1]  # the range of a ray that dropped out, by robot
-    _encoded: cython.double[:, ::1]
-    _block_dropout: cython.double[::1]
-    _normal: cython.double[::1]
-    _uniform: cython.float[::1]  # of each ray, then of each block
+    _near: float
+    _near_sd: float
+    _far_sd: float
+    _resolution: float
+    _dropout: float
+    _factors: Doubles
+    _reach: Table
+    _lost: Doubles  # the range of a ray that dropped out, by robot
+    _encoded: Table
+    _block_dropout: Doubles
+    _normal: Doubles
+    _uniform: Doubles  # of each ray, then of each block
 
     def __init__(
         self,
@@ -810,22 +691,19 @@ class Errors:
         self._normal = normal.data
         self._uniform = uniform.data
 
-    def measure(self, row: cython.Py_ssize_t, ranges: cython.double[::1]) -> None:
+    def measure(self, row: int, ranges: Doubles) -> None:
         """Replace the exact `ranges` (rays,) in m of robot `row` by those that its driver reports.
 
         A ray without a return (inf) has no error. A measurement nearer than range_min becomes -inf,
         and beyond range_max inf; `encode` replaces both. A ray drops out alone, or with its block
         of _BLOCK rays.
         """
-        i: cython.Py_ssize_t
-        rays: cython.Py_ssize_t = len(ranges)
-        r: cython.double
-        spread: cython.double  # standard deviation in m
-        factor: cython.double = self._factors[row]  # 1 plus the bias of the robot's sensor
-        range_min: cython.double = self._reach[row, 0]
-        range_max: cython.double = self._reach[row, 1]
-        block_dropout: cython.double = self._block_dropout[row]
-        drops_out: cython.bint
+        rays = len(ranges)
+        spread: float  # standard deviation in m
+        factor = self._factors[row]  # 1 plus the bias of the robot's sensor
+        range_min = self._reach[row, 0]
+        range_max = self._reach[row, 1]
+        block_dropout = self._block_dropout[row]
         if not cython.compiled:
             ranges = np.asarray(ranges).data
         for i in range(rays):
@@ -854,12 +732,10 @@ class Errors:
             ranges[i] = r
         self.encode(row, ranges)
 
-    @cython.ccall
-    def encode(self, row: cython.Py_ssize_t, ranges: cython.double[::1]) -> None:
+    def encode(self, row: int, ranges: Doubles) -> None:
         """Encode `ranges` (rays,) in place as the driver of robot `row` does."""
-        i: cython.Py_ssize_t
-        near: cython.double = self._encoded[row, 0]
-        nothing: cython.double = self._encoded[row, 1]
+        near = self._encoded[row, 0]
+        nothing = self._encoded[row, 1]
         if not cython.compiled:
             ranges = np.asarray(ranges).data
         for i in range(len(ranges)):

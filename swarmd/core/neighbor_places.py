@@ -6,7 +6,7 @@ For patterns and neighborhoods alone: protection takes places from `Peers` (robo
 from __future__ import annotations
 
 import math
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 from msgspec import structs
 
@@ -17,6 +17,13 @@ PLACE_TIMEOUT = 1.0  # s after which the place of a peer, or the own pose, is to
 MAX_PEERS = 1024  # peers whose places are kept
 
 
+class TimedPose(NamedTuple):
+    """The own pose in a shared frame, and its time in s on the robot's monotonic clock."""
+
+    pose: SharedPose
+    at: float
+
+
 class NeighborPlaces:
     """The last known places of peers. All times are in s on the robot's monotonic clock.
 
@@ -25,14 +32,8 @@ class NeighborPlaces:
     """
 
     def __init__(self) -> None:
-        self._own: tuple[SharedPose, float] | None = None  # pose, and its time
         self._places: dict[str, tuple[PeerPlace, float]] = {}  # place, and its time, by robot
         self._seen: dict[str, tuple[Detection, float]] = {}  # detection, and its arrival, by robot
-
-    def on_pose(self, pose: SharedPose, at: float) -> None:
-        """Take in the own pose at the time `at`; an invalid pose is ignored."""
-        if pose.is_valid:
-            self._own = pose, at
 
     def on_place(self, place: PeerPlace, now: float) -> None:
         """Take in the place that a peer reports, unless a newer one is known."""
@@ -47,8 +48,12 @@ class NeighborPlaces:
             if seen.distance is not None:
                 _keep(self._seen, seen.id, (seen, now))
 
-    def complete(self, neighbors: tuple[Neighbor, ...], now: float) -> tuple[Neighbor, ...]:
+    def complete(
+        self, neighbors: tuple[Neighbor, ...], own: TimedPose | None, now: float
+    ) -> tuple[Neighbor, ...]:
         """The neighbors with the distance, bearing and heading that are not measured.
+
+        `own`: the pose of this robot; without one no poses are compared.
 
         A place older than PLACE_TIMEOUT, or in a frame other than that of the own pose, is left
         out. The older of both poses gives the age. `error` in m bounds the error of the place,
@@ -56,7 +61,15 @@ class NeighborPlaces:
         """
         if not (self._places or self._seen):
             return neighbors
-        return tuple([self._located(self._sighted(one, now), now) for one in neighbors])
+        return tuple([self._located(self._sighted(one, now), own, now) for one in neighbors])
+
+    def by_poses(
+        self, neighbors: tuple[Neighbor, ...], own: TimedPose | None, now: float
+    ) -> tuple[Neighbor, ...]:
+        """As `complete`, without the places of detected robots."""
+        if not self._places:
+            return neighbors
+        return tuple([self._located(one, own, now) for one in neighbors])
 
     def _sighted(self, neighbor: Neighbor, now: float) -> Neighbor:
         """The neighbor at the place of its last detection, unless it is measured."""
@@ -68,13 +81,13 @@ class NeighborPlaces:
         bearing = seen.bearing if neighbor.bearing is None else neighbor.bearing
         return Neighbor(neighbor.id, now - at, distance, bearing, neighbor.heading)
 
-    def _located(self, neighbor: Neighbor, now: float) -> Neighbor:
+    def _located(self, neighbor: Neighbor, timed: TimedPose | None, now: float) -> Neighbor:
         """The neighbor with the fields that are not known by the poses in the shared frame."""
         place, at = self._places.get(neighbor.id, (None, now))
-        if place is None or self._own is None:
+        if place is None or timed is None:
             return neighbor
-        own = self._own[0]
-        age = now - min(self._own[1], at)
+        own = timed.pose
+        age = now - min(timed.at, at)
         if age > PLACE_TIMEOUT or place.frame != own.frame:
             return neighbor
         # m, from own to peer

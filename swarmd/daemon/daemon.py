@@ -300,6 +300,7 @@ class Daemon:
         )
         self._neighborhood = NeighborSelection(
             settings.file.neighbors,
+            self._robot.place_neighbors,
             self._network.heard,
             settings.network.interface_name,
             self._loop,
@@ -487,9 +488,7 @@ class Daemon:
         held = set(robot.latches)
         goal = robot.goal
         state = robot.state
-        if isinstance(input, events.PlaceInput):
-            self._neighborhood.places.on_place(input.place, boottime())
-        elif isinstance(input, events.DuplicateInput) and input.holder is not None:
+        if isinstance(input, events.DuplicateInput) and input.holder is not None:
             log.error("id %s is also held by %s", robot.id, input.holder)
         self.step(input)
         for id in sorted(robot.latches.keys() - held):

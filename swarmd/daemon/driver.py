@@ -180,8 +180,6 @@ class DriverSink:
             self.has_neighbors = True
             selected = self._neighborhood.select(input.neighbors, boottime())
             input = events.NeighborsInput(selected)
-        elif isinstance(input, events.PoseInput):
-            self._neighborhood.places.on_pose(input.pose, boottime())
         self._step(input)
 
     def take_late(self, input: events.OdometryInput, age: float) -> None:

@@ -1,4 +1,4 @@
-"""The black box of a robot: its last minute in memory, and a file of it for each incident.
+"""The black box of a robot: its last minute in RAM, and a file of it for each incident.
 
 An incident is found by the robot itself (`core/incident.py`), told by a peer, or marked by an
 operator. TAIL s after it the service writes the ring of the recorder to a file, in a thread. The
@@ -8,7 +8,7 @@ incident, under one id. A robot that has an incident itself notes its own words,
 it before.
 
 After a daemon that was killed the next one finds the ring, and writes it. It tells again what the
-daemon before may not have had the time to tell. A file that the disk refused waits in memory.
+daemon before may not have had the time to tell. A file that the disk refused waits in RAM.
 
 The age of a tale is not signed: the robot that hands it on states it. So a tale at second hand uses
 a budget of its own (`incident_budget.py`), the file names who handed it on, and the age that the
@@ -65,7 +65,7 @@ from swarmd.daemon.recording.ring import (
     Left,
     Ring,
     entries_of,
-    memory_folder,
+    ring_folder,
     read_left,
     remove_old,
 )
@@ -226,7 +226,7 @@ class IncidentService:
         if not self._seconds:
             return
         try:
-            folder = memory_folder(self._section.folder, os.environ)
+            folder = ring_folder(self._section.folder, os.environ)
             try:  # before the ring begins again: a second kill must not lose it
                 left = read_left(folder / self._ring_name)
                 if left is not None and left.frames:
@@ -234,7 +234,7 @@ class IncidentService:
             except (CodecError, ConfigError, OSError, msgspec.MsgspecError) as error:
                 log.warning("what the daemon before left is lost: %s", error)
             self._tell_again()
-            if self._waiting:  # the minute stays in memory until there is room on the disk
+            if self._waiting:  # the minute stays in RAM until there is room on the disk
                 self._keeps_left = True
                 return
             self._begin_ring(folder)
@@ -722,7 +722,7 @@ class IncidentService:
         if told is not None and told.incident != written.head.incident:
             self._write_head(told)  # the robot found it while the file was written
         if self._keeps_left and not self._waiting:
-            self._begin_ring(memory_folder(self._section.folder, os.environ))
+            self._begin_ring(ring_folder(self._section.folder, os.environ))
 
     def _wait_for_disk(self, id: str, refused: _Refused) -> None:
         """Keep a file that the disk refused, for the next try; the oldest is lost without room."""

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from swarmd.core.values import Neighbor
 from swarmd.link.members.neighbor_settings import NeighborSettings
-from swarmd.link.members.neighborhood import Link, Neighborhood
+from swarmd.link.members.neighborhood import Link, Neighborhood, PlaceNeighbors
 
 log = logging.getLogger(__name__)
 
@@ -91,18 +91,19 @@ class RadioSignal:
 class NeighborSelection:
     """Selects neighbors as `settings` say.
 
+    `place`: as for `Neighborhood`.
     `heard` returns, for each robot, its id, its host, and the share of its beacons that arrive.
     """
 
     def __init__(
         self,
         settings: NeighborSettings,
+        place: PlaceNeighbors,
         heard: Callable[[], Iterable[tuple[str, str, float]]],
         interface: str,
         loop: asyncio.AbstractEventLoop,
     ) -> None:
-        self._neighborhood = Neighborhood(settings)
-        self.places = self._neighborhood.places
+        self._neighborhood = Neighborhood(settings, place)
         self._heard = heard
         self._needs_links = settings.neighborhood == "link"
         self._signal = None if settings.signal is None else RadioSignal(loop, interface)

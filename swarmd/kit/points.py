@@ -16,6 +16,7 @@ from swarmd.core import cython_shadow as cython
 from swarmd.core.cython_shadow import (
     INFINITY,
     NAN,
+    Table,
     asin,
     atan2,
     cos,
@@ -37,25 +38,25 @@ if TYPE_CHECKING:
 
 from swarmd.core.values import ZERO, Twist
 
-_PI = cython.declare(cython.double, math.pi)
+_PI = math.pi
 # A shorter vector is rounding noise: its direction means nothing.
-_MIN_LENGTH = cython.declare(cython.double, 1e-9)
+_MIN_LENGTH = 1e-9
 # Share of full speed in reverse: people beside a robot do not expect it to back up.
-_MAX_REVERSE_SHARE = cython.declare(cython.double, 0.5)
+_MAX_REVERSE_SHARE = 0.5
 # 1/s: at 5 scans a second the heading settles without overshoot.
-_HEADING_GAIN = cython.declare(cython.double, 2.0)
+_HEADING_GAIN = 2.0
 # rad: the largest angle between two objects of which one hides a part of the other.
-_MAX_OCCLUSION_ANGLE = cython.declare(cython.double, math.radians(3.0))
+_MAX_OCCLUSION_ANGLE = math.radians(3.0)
 # Centers nearer to each other than this share of the largest width belong to one robot.
-_MERGE_SHARE = cython.declare(cython.double, 0.45)
+_MERGE_SHARE = 0.45
 # A robot farther than this share of the range at which it is lost pulls as one at this share.
-_MAX_LOSS_SHARE = cython.declare(cython.double, 0.95)
+_MAX_LOSS_SHARE = 0.95
 # m from the nearest ray of an object to the middle of a robot: half a body, and the error of both.
-_SAME_PLACE = cython.declare(cython.double, 0.35)
+_SAME_PLACE = 0.35
 # rad on each side of a robot whose rays say nothing of the free space.
-_MARGIN = cython.declare(cython.double, 0.05)
+_MARGIN = 0.05
 # m: a nearer object counts as one at this range where its range divides.
-_MIN_RANGE = cython.declare(cython.double, 1e-3)
+_MIN_RANGE = 1e-3
 
 
 def polar_from_base(points: Iterable[Sequence[float]], offset: Pair) -> list[Pair]:
@@ -63,10 +64,8 @@ def polar_from_base(points: Iterable[Sequence[float]], offset: Pair) -> list[Pai
 
     `points`: (range, bearing) of each point, seen from a sensor at `offset` (m) in the base frame.
     """
-    distance: cython.double
-    bearing: cython.double
-    forward: cython.double = offset[0]
-    left: cython.double = offset[1]
+    forward = offset[0]
+    left = offset[1]
     found = []
     for distance, bearing in points:
         _check(bearing)
@@ -76,13 +75,11 @@ def polar_from_base(points: Iterable[Sequence[float]], offset: Pair) -> list[Pai
     return found
 
 
-@cython.cfunc
-def _check(bearing: cython.double) -> cython.int:
+def _check(bearing: float) -> None:
     if isinf(bearing):
         raise ValueError("a bearing is infinite; expected an angle")
 
 
-@cython.auto_pickle(False)
 @cython.cclass
 class NearPoints:
     """Points around the base, such as returns of a scan, for `keep_clear` and `steer`.
@@ -90,26 +87,20 @@ class NearPoints:
     `nearest`: the smallest range in m, +inf without points.
     """
 
-    nearest = cython.declare(cython.double, visibility="readonly")
+    nearest: float
     _farthest_first: list[Any]
 
     def __init__(self, points: Iterable[Sequence[float]]) -> None:
         """`points`: range in m and bearing in rad of each."""
-        distance: cython.double = INFINITY
-        bearing: cython.double
+        distance = INFINITY
         self._farthest_first = []
         for distance, bearing in sorted(map(tuple, points), reverse=True):
             _check(bearing)
             self._farthest_first.append((distance, cos(bearing), sin(bearing)))
         self.nearest = distance
 
-    def keep_clear(
-        self, x: cython.double, y: cython.double, *, spacing: cython.double, brake: cython.double
-    ) -> Pair:
+    def keep_clear(self, x: float, y: float, *, spacing: float, brake: float) -> Pair:
         """The vector x, y limited as by the function `keep_clear`."""
-        distance: cython.double
-        toward_x: cython.double
-        toward_y: cython.double
         # The nearest come last, so that their limits hold exactly.
         for distance, toward_x, toward_y in self._farthest_first:
             if brake == 0.0:
@@ -122,14 +113,14 @@ class NearPoints:
 
     def steer(
         self,
-        x: cython.double,
-        y: cython.double,
-        linear_max: cython.double,
-        angular_max: cython.double,
+        x: float,
+        y: float,
+        linear_max: float,
+        angular_max: float,
         *,
-        spacing: cython.double,
-        brake: cython.double,
-        may_back: cython.bint = False,
+        spacing: float,
+        brake: float,
+        may_back: bool = False,
     ) -> Twist:
         """The command of a differential drive along the vector (x, y), slower before points.
 
@@ -139,13 +130,11 @@ class NearPoints:
         which the base slows down. `may_back`: drive in reverse to a target behind. Zero for a
         vector of no length or infinite length.
         """
-        distance: cython.double
-        toward_x: cython.double
-        length: cython.double = math.hypot(x, y)
+        length = math.hypot(x, y)
         if not _MIN_LENGTH < length < INFINITY:
             return ZERO
         sign = -1.0 if may_back and x < 0.0 else 1.0  # of the motion: -1 in reverse
-        speed_share: cython.double = min(length, _MAX_REVERSE_SHARE if sign < 0.0 else 1.0)
+        speed_share = min(length, _MAX_REVERSE_SHARE if sign < 0.0 else 1.0)
         # The base slows down with the error of its heading, and only turns from 90 degrees on.
         heading_error = atan2(sign * y, sign * x)
         speed_share *= math.pow(max(cos(heading_error), 0.0), 2.0)
@@ -162,7 +151,6 @@ class NearPoints:
         return Twist(sign * speed_share * linear_max, turn)
 
 
-@cython.auto_pickle(False)
 @cython.cclass
 class RobotsInSight:
     """The objects of a scan that may be robots, in the order of their bearings from the lidar.
@@ -172,15 +160,15 @@ class RobotsInSight:
     from the base, of each of `objects` that no nearer object hides in part.
     """
 
-    objects: list[Any] = cython.declare(object, visibility="readonly")
-    narrow: list[Any] = cython.declare(object, visibility="readonly")
-    polar: list[Pair] = cython.declare(object, visibility="readonly")
+    objects: list[Any]
+    narrow: list[Any]
+    polar: list[Pair]
 
     def __init__(
         self,
         objects: Iterable[Any],
-        width: cython.double,
-        reach: cython.double,
+        width: float,
+        reach: float,
         offset: Pair,
         named: Iterable[Pair] = (),
     ) -> None:
@@ -191,43 +179,41 @@ class RobotsInSight:
         robot if it is at one of them, however wide it is.
         """
         places = [(d * cos(b), d * sin(b)) for d, b in named]
-        forward: cython.double = offset[0]
-        left: cython.double = offset[1]
+        forward = offset[0]
+        left = offset[1]
         self.objects = []
         self.polar = []
         self.narrow = [] if places else self.objects
         for one in objects:
             row: tuple[Any, ...] = tuple(one)  # of a tuple itself, whose items C reads faster
-            away: cython.double = row[0]
-            is_narrow: cython.bint = row[2] <= width
+            away = row[0]
+            is_narrow = row[2] <= width
             if places and is_narrow:
                 self.narrow.append(one)
             if away <= reach and (_is_at(one, offset, places) if places else is_narrow):
                 self.objects.append(one)
                 if row[4]:
-                    bearing: cython.double = row[1]
+                    bearing = row[1]
                     _check(bearing)
-                    x: cython.double = away * cos(bearing) + forward
-                    y: cython.double = away * sin(bearing) + left
+                    x = away * cos(bearing) + forward
+                    y = away * sin(bearing) + left
                     self.polar.append((hypot(x, y), atan2(y, x)))
 
-    def arrangement(self, near: cython.double) -> tuple[int, float]:
+    def arrangement(self, near: float) -> tuple[int, float]:
         """The number of robots of `polar` nearer than `near` m, and how well all lie on one line.
 
         The second is the length of the sum of exp(2i bearing): their number on one line.
         """
-        distance: cython.double
-        bearing: cython.double
-        count: cython.Py_ssize_t = 0
-        x: cython.double = 0.0
-        y: cython.double = 0.0
+        count = 0
+        x = 0.0
+        y = 0.0
         for distance, bearing in self.polar:
             count += distance < near
             x += cos(2.0 * bearing)  # doubled: ahead and behind are one line
             y += sin(2.0 * bearing)
         return count, hypot(x, y)
 
-    def pull(self, spacing: cython.double, brake: cython.double, reach: cython.double) -> Pair:
+    def pull(self, spacing: float, brake: float, reach: float) -> Pair:
         """The sum of the attraction of all robots: a vector in the base frame.
 
         The attraction of a robot is 0 up to `spacing` m and grows with its range, by 1 for each
@@ -235,47 +221,40 @@ class RobotsInSight:
         connected (Ji and Egerstedt, "Distributed coordination control of multiagent systems while
         preserving connectedness", 2007).
         """
-        distance: cython.double
-        bearing: cython.double
-        x: cython.double = 0.0
-        y: cython.double = 0.0
+        x = 0.0
+        y = 0.0
         if brake == 0.0 or reach == 0.0:  # compiled code would not raise by itself
             raise ZeroDivisionError(f"brake is {brake} m and reach {reach} m")
         for distance, bearing in self.polar:
             if distance > spacing:
-                rest: cython.double = 1.0 - min(distance / reach, _MAX_LOSS_SHARE)
-                weight: cython.double = (distance - spacing) / (brake * rest)
+                rest = 1.0 - min(distance / reach, _MAX_LOSS_SHARE)
+                weight = (distance - spacing) / (brake * rest)
                 x += weight * cos(bearing)
                 y += weight * sin(bearing)
         return x, y
 
-    def keep_in_sight(
-        self, x: cython.double, y: cython.double, *, reach: cython.double, brake: cython.double
-    ) -> Pair:
+    def keep_in_sight(self, x: float, y: float, *, reach: float, brake: float) -> Pair:
         """The vector (x, y), limited so that it leads no farther than `reach` m from the robots.
 
         As `keep_clear` with the opposite sign: the component away from a robot is at most 1 at the
         range `reach` - `brake`, and 0 at `reach`.
         """
-        distance: cython.double
-        bearing: cython.double
         if brake == 0.0:  # compiled code would not raise by itself
             raise ZeroDivisionError("brake is 0 m")
         for distance, bearing in self.polar:
-            ahead: cython.double = cos(bearing)
-            left: cython.double = sin(bearing)
-            excess: cython.double = -(x * ahead + y * left) - max(reach - distance, 0.0) / brake
+            ahead = cos(bearing)
+            left = sin(bearing)
+            excess = -(x * ahead + y * left) - max(reach - distance, 0.0) / brake
             if excess > 0.0:
                 x = x + excess * ahead
                 y = y + excess * left
         return x, y
 
 
-@cython.cfunc
-def _is_at(one: Any, offset: Pair, places: list[Pair]) -> cython.bint:
+def _is_at(one: Any, offset: Pair, places: list[Pair]) -> bool:
     """True if an object is at one of the places, m from the base."""
-    x: cython.double = offset[0] + one[0] * math.cos(one[1])
-    y: cython.double = offset[1] + one[0] * math.sin(one[1])
+    x = offset[0] + one[0] * math.cos(one[1])
+    y = offset[1] + one[0] * math.sin(one[1])
     return any([math.hypot(ahead - x, left - y) < _SAME_PLACE for ahead, left in places])
 
 
@@ -291,12 +270,11 @@ def to_middle(scan: Scan, robots: Iterable[Sequence[Any]]) -> Pair:
     rays = np.array((scan.ranges, scan.bearings), np.float64)
     rays[0].clip(scan.range_min, scan.range_max, out=rays[0])  # NaN stays
     # The ranges and bearings, known ones first. CPython reads a memoryview faster than an array.
-    ray: cython.double[:, ::1] = rays if cython.compiled else rays.data
-    i: cython.Py_ssize_t
-    count: cython.Py_ssize_t = 0
+    ray: Table = rays if cython.compiled else rays.data
+    count = 0
     for robot in robots:
-        bearing: cython.double = robot[1]
-        half: cython.double = math.atan2(0.5 * robot[2], robot[0]) + _MARGIN
+        bearing = robot[1]
+        half = math.atan2(0.5 * robot[2], robot[0]) + _MARGIN
         for i in range(ray.shape[1]):
             if not fabs(remainder(ray[1, i] - bearing, 2.0 * _PI)) > half:
                 ray[0, i] = NAN
@@ -313,26 +291,19 @@ def to_middle(scan: Scan, robots: Iterable[Sequence[Any]]) -> Pair:
     return float(weights @ np.cos(bearings)), float(weights @ np.sin(bearings))
 
 
-def robot_centers(
-    objects: list[Any], reach: cython.double, width: cython.double, offset: Any
-) -> list[Any]:
+def robot_centers(objects: list[Any], reach: float, width: float, offset: Any) -> list[Any]:
     """The centers (x, y) of the objects of a scan that may be robots, in m in the base frame.
 
     `objects` (clusters of rays) as in `RayClusters`, seen from the lidar at `offset` (m). An object
     may be a robot if it is at most `width` m wide and `reach` m away. Skips an object that is
     hidden on both sides.
     """
-    i: cython.Py_ssize_t
-    side: cython.int
-    half: cython.double
-    away: cython.double
-    bearing: cython.double
     if not objects:
         return []
     ranges, bearings, widths, counts, is_free = map(list, zip(*objects))  # noqa: B905
     candidates = [i for i in range(len(ranges)) if widths[i] <= width and ranges[i] <= reach]
     whole_halves = [0.5 * widths[i] for i in candidates if is_free[i]]
-    usual_half: cython.double = median(whole_halves) if whole_halves else 0.0
+    usual_half = median(whole_halves) if whole_halves else 0.0
     # (range, bearing) from the lidar, and number of rays
     centers = []
     weights = []
@@ -359,21 +330,17 @@ def robot_centers(
     return list(zip(xs, ys))  # noqa: B905
 
 
-_BOTH = cython.declare(cython.int, 2)
+_BOTH = 2
 
 
-@cython.cfunc
 def _hidden_side(
-    ranges: list[float], bearings: list[float], widths: list[float], index: cython.Py_ssize_t
-) -> cython.int:
+    ranges: list[float], bearings: list[float], widths: list[float], index: int
+) -> int:
     """The side on which nearer objects hide the object `index`: 1 left, -1 right, 0, or `_BOTH`."""
-    i: cython.Py_ssize_t
-    own_range: cython.double = ranges[index]
-    own_bearing: cython.double = bearings[index]
+    own_range = ranges[index]
+    own_bearing = bearings[index]
     reach = _spread(own_range, widths[index]) + _MAX_OCCLUSION_ANGLE
-    near: cython.double
-    angle: cython.double
-    side: cython.int = 0
+    side = 0
     for i in range(len(ranges)):
         near = ranges[i]
         if near < own_range:
@@ -389,43 +356,30 @@ def _hidden_side(
     return side
 
 
-@cython.cfunc
-@cython.exceptval(check=False)
-def _spread(distance: cython.double, width: cython.double) -> cython.double:
+def _spread(distance: float, width: float) -> float:
     """Half the angle in rad under which an object is seen."""
     return 0.5 * width / max(distance, _MIN_RANGE)
 
 
-@cython.cfunc
-def _angle_to_center(
-    away: cython.double, visible_width: cython.double, radius: cython.double
-) -> cython.double:
+def _angle_to_center(away: float, visible_width: float, radius: float) -> float:
     """The angle in rad from the middle of an object's visible part to the object's center.
 
     The object is a circle of `radius` m, `away` m from the lidar, whose one side is hidden. The
     edge of the other side lies `edge_angle` from the middle of the visible part, and
     `center_angle` from the center.
     """
-    edge_angle: cython.double = _spread(away, visible_width)
-    center_angle: cython.double = asin(radius / max(away + radius, _MIN_RANGE))
+    edge_angle = _spread(away, visible_width)
+    center_angle = asin(radius / max(away + radius, _MIN_RANGE))
     return max(center_angle - edge_angle, 0.0)
 
 
-@cython.cfunc
-def _merge(
-    xs: list[float], ys: list[float], weights: list[int], least: cython.double
-) -> cython.int:
+def _merge(xs: list[float], ys: list[float], weights: list[int], least: float) -> None:
     """Merge points nearer than `least` m to each other, the nearest pair first.
 
     A robot appears in pieces where rays are lost, or where it moves while the lidar turns. A merged
     point lies at the weighted mean. Changes the three lists (m, m, number of rays) in place.
     """
-    i: cython.Py_ssize_t
-    j: cython.Py_ssize_t
-    first: cython.Py_ssize_t = 0
-    second: cython.Py_ssize_t
-    x: cython.double
-    y: cython.double
+    first = 0
     while True:
         # The nearest pair; `second` is 0 if no pair is near enough, since second > first.
         shortest = least
@@ -440,7 +394,7 @@ def _merge(
                     first = i
                     second = j
         if not second:
-            return 0  # for compiled callers: no error was raised
+            return  # for compiled callers: no error was raised
         # The pair becomes one point.
         share = weights[second] / (weights[first] + weights[second])
         xs[first] += (xs[second] - xs[first]) * share

@@ -23,11 +23,9 @@ if TYPE_CHECKING:
     from swarmd.core.values import Value
     from swarmd.robot.actions import FailedCode
 
-_NO_MESSAGES: Mapping[str, Value] = cython.declare(object, MappingProxyType({}))
+_NO_MESSAGES: Mapping[str, Value] = MappingProxyType({})
 
 
-@cython.final
-@cython.auto_pickle(False)
 @cython.cclass
 class Effects:
     """The effects of one event at `now`, gathered until the robot makes `Actions` of them.
@@ -37,22 +35,22 @@ class Effects:
     hold the robot have changed. The fields from `trial` on mean the same as in `Actions`.
     """
 
-    now = cython.declare(cython.double, visibility="readonly")
-    is_tick = cython.declare(cython.bint, visibility="public")
-    is_routine = cython.declare(cython.bint, visibility="public")
-    is_latched = cython.declare(cython.bint, visibility="public")
-    is_new_scan = cython.declare(cython.bint, visibility="public")
-    is_new_run = cython.declare(cython.bint, visibility="public")
-    trial: StartTrial | CancelTrial | None = cython.declare(object, visibility="public")
-    messages: Mapping[str, Value] = cython.declare(object, visibility="public")
-    replies: tuple[Reply, ...] = cython.declare(tuple, visibility="public")
-    host: HostCommand | None = cython.declare(object, visibility="public")
-    failed_code: FailedCode | None = cython.declare(object, visibility="public")
-    ended: str = cython.declare(object, visibility="public")
-    grip: bool | None = cython.declare(object, visibility="public")
-    kin_message: KinMessage | None = cython.declare(object, visibility="public")
+    now: float
+    is_tick: bool
+    is_routine: bool
+    is_latched: bool
+    is_new_scan: bool
+    is_new_run: bool
+    trial: StartTrial | CancelTrial | None
+    messages: Mapping[str, Value]
+    replies: tuple[Reply, ...]
+    host: HostCommand | None
+    failed_code: FailedCode | None
+    ended: str
+    grip: bool | None
+    kin_message: KinMessage | None
 
-    def __init__(self, now: cython.double) -> None:
+    def __init__(self, now: float) -> None:
         self.now = now
         self.messages = _NO_MESSAGES
         self.replies = ()

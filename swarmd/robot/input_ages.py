@@ -22,8 +22,9 @@ if TYPE_CHECKING:
 
     from swarmd.core.kin_message import KinMessage
     from swarmd.core.neighbor_places import NeighborPlaces
-    from swarmd.core.values import Detection, Odometry, Pose, Scan
+    from swarmd.core.values import Detection, Odometry, Scan
     from swarmd.robot.inbox import Inbox
+    from swarmd.robot.own_pose import OwnPose
     from swarmd.robot.peers import Peers
     from swarmd.robot.protection.decision import PoseAnchors
     from swarmd.robot.sensing.conditioning import ScanConditioner
@@ -32,15 +33,14 @@ if TYPE_CHECKING:
     from swarmd.robot.sensors import RangeRing
     from swarmd.robot.steering_interface import MakeKin, NamesPeers
 
-_ODOMETRY_TIMEOUT = cython.declare(cython.double, timeouts.ODOMETRY_TIMEOUT)
-_NEIGHBOR_TIMEOUT = cython.declare(cython.double, timeouts.NEIGHBOR_TIMEOUT)
-_KIN_TIMEOUT = cython.declare(cython.double, timeouts.KIN_TIMEOUT)
-_AGE_UPDATE_PERIOD = cython.declare(cython.double, timeouts.AGE_UPDATE_PERIOD)
-_Context = cython.declare(object, DecisionContext)
-_Inputs = cython.declare(object, Inputs)
+_ODOMETRY_TIMEOUT = timeouts.ODOMETRY_TIMEOUT
+_NEIGHBOR_TIMEOUT = timeouts.NEIGHBOR_TIMEOUT
+_KIN_TIMEOUT = timeouts.KIN_TIMEOUT
+_AGE_UPDATE_PERIOD = timeouts.AGE_UPDATE_PERIOD
+_Context = DecisionContext
+_Inputs = Inputs
 
 
-@cython.final
 @cython.cclass
 class Hold:
     """A row of the holds: from `begins` until `until` the input of the row forbids motion.
@@ -49,12 +49,12 @@ class Hold:
     present. `reason`: what the robot gives as the cause. `ends_run`: the run ends at once.
     """
 
-    reason: Reason | None = cython.declare(object, visibility="public")
-    begins = cython.declare(cython.double, visibility="public")
-    until = cython.declare(cython.double, visibility="public")
-    ends_run = cython.declare(cython.bint, visibility="public")
+    reason: Reason | None
+    begins: float
+    until: float
+    ends_run: bool
 
-    def __init__(self, reason: Reason | None, begins: cython.double = INFINITY) -> None:
+    def __init__(self, reason: Reason | None, begins: float = INFINITY) -> None:
         self.reason = reason
         self.begins = begins
         self.until = INFINITY
@@ -71,6 +71,7 @@ class InputAges:
     - `peers_hold`, `pose_hold`: the place of a peer, or the pose for layers, is too old.
     - `_teller`: the `Peers` object while the place of any peer is known; such places are obstacles.
     - `_ring`: the `RangeRing` of a robot with such sensors.
+    - `own_pose`: the pose of the robot in a shared frame.
     - `_places`: the `NeighborPlaces` of a robot that computes where its neighbours are.
     - `kin`: names the peers of a robot while it or a peer needs their places.
     - `_anchors`: the `PoseAnchors` of a robot whose layers need its pose in a shared frame.
@@ -78,53 +79,52 @@ class InputAges:
     An object that the robot does not have is None.
     """
 
-    odometry: Odometry | None = cython.declare(object, visibility="public")
-    scan: Scan | None = cython.declare(object, visibility="public")
-    readings: Mapping[str, float] = cython.declare(object, visibility="public")
-    detections: tuple[Detection, ...] | None = cython.declare(object, visibility="public")
-    pose: Pose | None = cython.declare(object, visibility="public")
-    pose_until = cython.declare(cython.double, visibility="public")
-    scan_delay: ScanDelay = cython.declare(object, visibility="public")
-    is_driver_up = cython.declare(cython.bint, visibility="public")
-    holds: tuple[Hold, ...] = cython.declare(tuple, visibility="public")
-    lost_hold: Hold = cython.declare(Hold, visibility="public")
-    base_hold: Hold = cython.declare(Hold, visibility="public")
-    hazard_hold: Hold = cython.declare(Hold, visibility="public")
-    delay_hold: Hold = cython.declare(Hold, visibility="public")
-    scan_hold: Hold = cython.declare(Hold, visibility="public")
-    ring_hold: Hold = cython.declare(Hold, visibility="public")
-    odometry_hold: Hold = cython.declare(Hold, visibility="public")
-    peers_hold: Hold = cython.declare(Hold, visibility="public")
-    pose_hold: Hold = cython.declare(Hold, visibility="public")
-    permitted_delay = cython.declare(cython.double, visibility="public")
-    _scan_at = cython.declare(cython.double, visibility="public")
-    _odometry_at = cython.declare(cython.double, visibility="public")
-    _added = cython.declare(cython.double, visibility="public")
-    _is_late = cython.declare(cython.bint, visibility="public")
-    _stale_after = cython.declare(cython.double, visibility="public")
-    _max_delay = cython.declare(cython.double, visibility="public")
-    _ring: RangeRing | None = cython.declare(object, visibility="public")
-    _places: NeighborPlaces | None = cython.declare(object, visibility="public")
-    _anchors: PoseAnchors | None = cython.declare(object, visibility="public")
-    kin: NamesPeers | None = cython.declare(object, visibility="public")
-    _make_kin: MakeKin | None = cython.declare(object, visibility="public")
-    _middle = cython.declare(cython.double, visibility="public")  # see `Kin`
+    odometry: Odometry | None
+    scan: Scan | None
+    readings: Mapping[str, float]
+    detections: tuple[Detection, ...] | None
+    own_pose: OwnPose
+    scan_delay: ScanDelay
+    is_driver_up: bool
+    holds: tuple[Hold, ...]
+    lost_hold: Hold
+    base_hold: Hold
+    hazard_hold: Hold
+    delay_hold: Hold
+    scan_hold: Hold
+    ring_hold: Hold
+    odometry_hold: Hold
+    peers_hold: Hold
+    pose_hold: Hold
+    permitted_delay: float
+    _scan_at: float
+    _odometry_at: float
+    _added: float
+    _is_late: bool
+    _stale_after: float
+    _max_delay: float
+    _ring: RangeRing | None
+    _places: NeighborPlaces | None
+    _anchors: PoseAnchors | None
+    kin: NamesPeers | None
+    _make_kin: MakeKin | None
+    _middle: float  # see `Kin`
     # s, until which this robot or a peer needs places.
-    _kin_until = cython.declare(cython.double, visibility="public")
-    _teller: Peers | None = cython.declare(object, visibility="public")
-    _is_new_scan = cython.declare(cython.bint, visibility="public")
-    _history: OdometryHistory = cython.declare(object, visibility="public")
-    _conditioner: ScanConditioner = cython.declare(object, visibility="public")
+    _kin_until: float
+    _teller: Peers | None
+    _is_new_scan: bool
+    _history: OdometryHistory
+    _conditioner: ScanConditioner
     # The last reading that was refused, or whose stamp stands still; None after a good one.
-    _bad_odometry: Odometry | None = cython.declare(object, visibility="public")
-    inbox: Inbox = cython.declare(object, visibility="public")
-    _neighbors: tuple[Neighbor, ...] = cython.declare(tuple, visibility="public")
-    _neighbors_at = cython.declare(cython.double, visibility="public")
+    _bad_odometry: Odometry | None
+    inbox: Inbox
+    _neighbors: tuple[Neighbor, ...]
+    _neighbors_at: float
     # The neighbours with their ages, and how often these ages were computed anew.
-    _aged: tuple[Neighbor, ...] = cython.declare(tuple, visibility="public")
-    _renewals = cython.declare(cython.double, visibility="public")
-    _context: DecisionContext | None = cython.declare(object, visibility="public")
-    _context_at: cython.double
+    _aged: tuple[Neighbor, ...]
+    _renewals: float
+    _context: DecisionContext | None
+    _context_at: float
 
     def __init__(self) -> None:
         self._scan_at = -INFINITY
@@ -153,8 +153,7 @@ class InputAges:
         )
         self._neighbors = self._aged = ()
 
-    @cython.ccall
-    def on_odometry(self, odometry: Odometry, now: cython.double) -> None:
+    def on_odometry(self, odometry: Odometry, now: float) -> None:
         """Take in a measured pose and twist. An invalid reading is ignored.
 
         A reading whose stamp is not newer than the last stamp does not renew the age of odometry.
@@ -179,23 +178,20 @@ class InputAges:
             if self.kin is not None:
                 self.kin.on_odometry(odometry, now)
 
-    @cython.ccall
-    def on_kin(self, robot: str, message: KinMessage, now: cython.double) -> None:
+    def on_kin(self, robot: str, message: KinMessage, now: float) -> None:
         """Take in the motion of a peer and what it sees; ignored without a use for it."""
         if message.asks:
             InputAges.ask_kin(self, now)
         if self.kin is not None:
             self.kin.on_message(robot, message, now)
 
-    @cython.ccall
-    def ask_kin(self, now: cython.double) -> None:
+    def ask_kin(self, now: float) -> None:
         """Name peers for some seconds from now on, if the platform can."""
         self._kin_until = now + _KIN_TIMEOUT
         if self.kin is None and self._make_kin is not None:
             self.kin = self._make_kin(self._middle, round(1000.0 * now) % 2**16)
 
-    @cython.ccall
-    def neighbors(self, now: cython.double) -> tuple[Neighbor, ...]:
+    def neighbors(self, now: float) -> tuple[Neighbor, ...]:
         """The neighbours; each age is exact to 0.5 s. Empty after 3 s without an update.
 
         `_places`, and then `kin`, add the places that the base does not measure.
@@ -213,11 +209,14 @@ class InputAges:
                     for n in self._neighbors
                 ]
             )
-        known = self._aged if self._places is None else self._places.complete(self._aged, now)
+        known = (
+            self._aged
+            if self._places is None
+            else self._places.complete(self._aged, self.own_pose.last, now)
+        )
         return known if self.kin is None else self.kin.complete(known, now)
 
-    @cython.ccall
-    def inputs(self, now: cython.double, dt: cython.double) -> Inputs:
+    def inputs(self, now: float, dt: float) -> Inputs:
         """The inputs for one step of the pattern; `dt`: s since the step before.
 
         Each message, and the mark of a new scan, appears in the inputs of a single step.
@@ -233,13 +232,12 @@ class InputAges:
             self.readings,
             None if self._ring is None else self._ring.scan,
             self.detections,
-            self.pose if now <= self.pose_until else None,
+            self.own_pose.usable(now),
         )
         self._is_new_scan = False
         return inputs
 
-    @cython.ccall
-    def context(self, now: cython.double) -> DecisionContext:
+    def context(self, now: float) -> DecisionContext:
         """The context of a decision at `now`: the same object for the same time and inputs."""
         if self._context is None or self._context_at != now:
             self._context_at = now
@@ -255,8 +253,7 @@ class InputAges:
             )
         return self._context
 
-    @cython.ccall
-    def hold(self, now: cython.double) -> Reason | None:
+    def hold(self, now: float) -> Reason | None:
         """The reason why the inputs forbid motion; None if they permit motion."""
         row: Hold
         for row in self.holds:
@@ -264,8 +261,7 @@ class InputAges:
                 return row.reason
         return None
 
-    @cython.ccall
-    def hold_due_at(self, now: cython.double) -> float:
+    def hold_due_at(self, now: float) -> float:
         """A time until which `hold` is None if no input arrives; one of the past if it is not."""
         due = INFINITY
         row: Hold
@@ -274,7 +270,6 @@ class InputAges:
                 due = row.begins
         return due
 
-    @cython.ccall
     def stale_at(self) -> float | None:
         """The time at which the first of the present scans (lidar and ring) becomes too old.
 
@@ -286,14 +281,12 @@ class InputAges:
         ring_at = self.ring_hold.begins
         return min(stale_at, ring_at) if ring_at > -INFINITY else stale_at
 
-    @cython.ccall
-    def permit_delay(self, seconds: cython.double) -> None:
+    def permit_delay(self, seconds: float) -> None:
         """Set how late (s beyond the latency of the platform) scans may be."""
         if seconds != self.permitted_delay:
             self.permitted_delay = seconds
             InputAges.time_scan(self)
 
-    @cython.ccall
     def time_scan(self) -> None:
         """Set when the last scan is stale, and whether it came too late.
 
@@ -302,7 +295,7 @@ class InputAges:
         a delay above the platform's bound `max_scan_delay`, only `max_scan_delay` is subtracted.
         """
         delay = self._added
-        is_permitted: cython.bint = delay <= self.permitted_delay
+        is_permitted = delay <= self.permitted_delay
         stale_at = self._scan_at + self._stale_after
         self.delay_hold.begins = -INFINITY if self._is_late and not is_permitted else INFINITY
         self.delay_hold.until = stale_at

@@ -32,43 +32,40 @@ if TYPE_CHECKING:
     from swarmd.robot.pattern_load import Loading, Wish
     from swarmd.robot.protection.decision import Permit
 
-_STEP_TIMEOUT = cython.declare(cython.double, timeouts.STEP_TIMEOUT)
-_STEP_TOLERANCE = cython.declare(cython.double, timeouts.STEP_TOLERANCE)
-ROUNDING = cython.declare(cython.double, timeouts.ROUNDING)
+_STEP_TIMEOUT = timeouts.STEP_TIMEOUT
+_STEP_TOLERANCE = timeouts.STEP_TOLERANCE
+ROUNDING = timeouts.ROUNDING
 # Constants as C variables: Cython looks up a Python global in a dict at each use.
-NOTHING_PERMITTED = cython.declare(object, NO_PERMIT)
+NOTHING_PERMITTED = NO_PERMIT
 
 
-@cython.final
 @cython.cclass
 class Running:
     """The running pattern, and the command that it requested last."""
 
-    generation: int = cython.declare(object, visibility="readonly")  # the number of the load
-    pattern: str = cython.declare(object, visibility="readonly")
-    params: Mapping[str, Scalar | None] = cython.declare(object, visibility="public")
-    rate: float = cython.declare(object, visibility="readonly")
-    channels: frozenset[str] = cython.declare(object, visibility="readonly")
-    values: ParamSources = cython.declare(object, visibility="public")
-    wish: Wish = cython.declare(object, visibility="readonly")
-    until: tuple[str, ...] = cython.declare(object, visibility="readonly")
+    generation: int  # the number of the load
+    pattern: str
+    params: Mapping[str, Scalar | None]
+    rate: float
+    channels: frozenset[str]
+    values: ParamSources
+    wish: Wish
+    until: tuple[str, ...]
     # What protection may do and allow for this pattern, such as to touch an object.
-    permit: Permit = cython.declare(object, visibility="public")
-    finish_at = cython.declare(cython.double, visibility="readonly")  # inf: no end
-    period = cython.declare(cython.double, visibility="readonly")  # s between two steps
+    permit: Permit
+    finish_at: float  # inf: no end
+    period: float  # s between two steps
     # The pattern needs the places of peers.
-    needs_places = cython.declare(cython.bint, visibility="readonly")
+    needs_places: bool
     # s for which a requested command is valid (rule 1 of the module).
-    expiry = cython.declare(cython.double, visibility="readonly")
+    expiry: float
     # The last requested command, None to stand; the start of the step that returned this command;
     # and the number of the scan that this step used, -1 without a scan.
-    requested: Twist | None = cython.declare(object, visibility="readonly")
-    requested_at = cython.declare(cython.double, visibility="readonly")
-    scan_seq = cython.declare(cython.Py_ssize_t, visibility="readonly")
+    requested: Twist | None
+    requested_at: float
+    scan_seq: int
 
-    def __init__(
-        self, loading: Loading, event: Loaded, finish_at: cython.double, now: cython.double
-    ) -> None:
+    def __init__(self, loading: Loading, event: Loaded, finish_at: float, now: float) -> None:
         """Start the run of `loading`, whose load ended with `event` at `now`."""
         self.generation = loading.generation
         self.pattern = loading.pattern
@@ -86,7 +83,6 @@ class Running:
         self.requested_at = now
         self.scan_seq = -1
 
-    @cython.ccall
     def channel(self, name: str) -> str | None:
         """The channel name in the pattern for `<pattern>/<channel>`; None if undeclared."""
         if name in self.channels:
@@ -99,7 +95,6 @@ class Running:
         return channel if "/" in channel else f"{self.pattern}/{channel}"
 
 
-@cython.final
 @cython.cclass
 class PatternRun:
     """The load and the run of a pattern, the answer awaited from its host, and its faults.
@@ -112,17 +107,17 @@ class PatternRun:
     - `restarts`: the count of all faults since the start of the daemon.
     """
 
-    running: Running | None = cython.declare(Running, visibility="public")
-    loading: Loading | None = cython.declare(object, visibility="public")
-    restart_at = cython.declare(cython.double, visibility="public")
-    awaiting_since = cython.declare(cython.double, visibility="public")
-    last_step = cython.declare(cython.double, visibility="public")
-    stepped_generation: int = cython.declare(object, visibility="public")
-    is_due = cython.declare(cython.bint, visibility="public")
-    is_outdated = cython.declare(cython.bint, visibility="public")
-    hand: Hand | None = cython.declare(object, visibility="public")
-    generation: int = cython.declare(object, visibility="public")
-    restarts = cython.declare(cython.Py_ssize_t, visibility="public")
+    running: Running | None
+    loading: Loading | None
+    restart_at: float
+    awaiting_since: float
+    last_step: float
+    stepped_generation: int
+    is_due: bool
+    is_outdated: bool
+    hand: Hand | None
+    generation: int
+    restarts: int
     _faults: deque[float]
 
     def __init__(self) -> None:
@@ -139,12 +134,12 @@ class PatternRun:
         present = self.running if self.loading is None else self.loading
         return None if present is None else present.wish
 
-    def ready(self, event: Loaded, now: cython.double) -> Loading:
+    def ready(self, event: Loaded, now: float) -> Loading:
         """Make the loaded pattern the running one, without a requested command yet."""
         loading = self.loading
         self.loading = None
         assert loading is not None  # the host answers loads alone
-        finish_at: cython.double = INFINITY if loading.seconds is None else now + loading.seconds
+        finish_at = INFINITY if loading.seconds is None else now + loading.seconds
         if loading.is_restart and self.running is not None:
             finish_at = self.running.finish_at
         else:
@@ -154,7 +149,7 @@ class PatternRun:
         self.last_step = -1.0
         return loading
 
-    def stepped(self, outputs: Outputs, scan_seq: cython.Py_ssize_t, now: cython.double) -> None:
+    def stepped(self, outputs: Outputs, scan_seq: int, now: float) -> None:
         """Take the requested command that a step returned; it ages from the start of that step."""
         running = self.running
         assert running is not None  # Lifecycle has compared its generation
@@ -168,19 +163,17 @@ class PatternRun:
         running.requested = twist if twist is None or speed is None else slowed(twist, speed)
         running.scan_seq = scan_seq
 
-    def is_expired(self, now: cython.double) -> bool:
+    def is_expired(self, now: float) -> bool:
         """True if the last requested command has expired, or no pattern runs."""
         running = self.running
         return running is None or now >= running.requested_at + running.expiry - ROUNDING
 
-    @cython.ccall
-    @cython.exceptval(check=False)
-    def may_step(self, now: cython.double, is_new_scan: cython.bint) -> cython.bint:
+    def may_step(self, now: float, is_new_scan: bool) -> bool:
         """True if a step is due and the host is free. Sets `is_due` if the host is busy."""
         running = self.running
         if running is None or self.restart_at < INFINITY or self.loading is not None:
             return False
-        is_time: cython.bint = now - self.last_step >= running.period - _STEP_TOLERANCE
+        is_time = now - self.last_step >= running.period - _STEP_TOLERANCE
         if not (is_new_scan or self.is_due or is_time):
             return False
         if self.awaiting_since < INFINITY:
@@ -188,8 +181,7 @@ class PatternRun:
             return False
         return True
 
-    @cython.ccall
-    def stepping(self, now: cython.double) -> float:
+    def stepping(self, now: float) -> float:
         """Mark the start of a step; returns the s since the start of the step before (first: 0)."""
         assert self.running is not None  # `may_step`
         self.stepped_generation = self.running.generation
@@ -205,7 +197,7 @@ class PatternRun:
         is_reloading = self.loading is not None and self.loading.is_restart
         return self.restart_at < INFINITY or is_reloading
 
-    def fault(self, now: cython.double) -> bool:
+    def fault(self, now: float) -> bool:
         """Count a fault; True if the pattern must be quarantined. Else sets `restart_at`."""
         self.awaiting_since = INFINITY
         self.restart_at = INFINITY
@@ -231,9 +223,7 @@ class PatternRun:
         self.restart_at = INFINITY
         self.is_due = False
 
-    @cython.cfunc
-    @cython.exceptval(check=False)
-    def lifecycle_due_at(self) -> cython.double:
+    def lifecycle_due_at(self) -> float:
         """The next deadline of the host's answer and of the run in s; inf without a deadline.
 
         During a load -inf: the caller then checks all deadlines at each tick. `step_due_at` has the
@@ -250,9 +240,7 @@ class PatternRun:
             soonest = min(soonest, running.requested_at + running.expiry, running.finish_at)
         return soonest
 
-    @cython.cfunc
-    @cython.exceptval(check=False)
-    def step_due_at(self) -> cython.double:
+    def step_due_at(self) -> float:
         """A time before which `may_step` stays False without a new scan; inf without a run."""
         running = self.running
         if running is None:
@@ -261,8 +249,7 @@ class PatternRun:
             return -INFINITY if self.awaiting_since == INFINITY else INFINITY
         return self.last_step + running.period - _STEP_TOLERANCE
 
-    @cython.ccall
-    def next_deadline(self, now: cython.double) -> float:
+    def next_deadline(self, now: float) -> float:
         """The next deadline after `now`; inf without one."""
         running = self.running
         soonest = later(self.awaiting_since + _STEP_TIMEOUT, now)
@@ -282,9 +269,6 @@ class PatternRun:
         return soonest
 
 
-@cython.cfunc
-@cython.inline
-@cython.exceptval(check=False)
-def later(at: cython.double, now: cython.double) -> cython.double:
+def later(at: float, now: float) -> float:
     """The time `at` if it lies after `now`, else inf."""
     return at if now < at else INFINITY

@@ -15,10 +15,11 @@ from typing import NamedTuple
 import numpy as np
 from msgspec import structs
 
-from swarmd.core.arrival_delay import ArrivalDelay
 from swarmd.core.clock import TICK
 from swarmd.core.messages import Body, PeerFinding
-from swarmd.core.values import MAX_TOLD_DISTANCE, Neighbor, PeerPlace, Platform, SharedPose, Twist
+from swarmd.core.neighbor_places import TimedPose
+from swarmd.core.values import MAX_TOLD_DISTANCE, Neighbor, PeerPlace, Platform, SharedPose
+from swarmd.robot.own_pose import POSE_TIMEOUT, OwnPose
 from swarmd.robot.protection.binding_range import REACTION_TIME, BindingRange
 from swarmd.robot.protection.compatibility import (
     Accepts,
@@ -38,9 +39,6 @@ DISTANCE_ERROR = 0.06
 DISTANCE_SHARE = 0.06
 ANGLE_ERROR = math.radians(6.0)
 
-POSE_TIMEOUT = 0.5  # s of age beyond which a pose in a shared frame is neither sent nor used
-FASTEST_POSE = 0.1  # s: upper bound of the least delay of own poses, which no clock can measure
-
 
 class _PeerDisc(NamedTuple):
     """A disc around a peer, in m in the base frame at the time `at` (s); valid until `until` (s).
@@ -55,34 +53,31 @@ class _PeerDisc(NamedTuple):
     until: float
 
 
-class _OwnPose(NamedTuple):
-    """The own pose in a shared frame, and the errors that follow from its uncertain time."""
-
-    shared: SharedPose
-    at: float  # s, assumed time of the pose; the true time differs by at most FASTEST_POSE / 2
-    shift: float  # m, that the robot moves in FASTEST_POSE / 2
-    turn: float  # rad, that the robot turns in FASTEST_POSE / 2
-
-
 class Peers:
     """Findings about peers, and the places of the peers that the lidar may miss.
 
     Protection assumes that the lidar sees all robots, and that no robot is faster than the setting
     `others_speed`. A finding is a property of a peer that contradicts one of these assumptions,
     such as a body below the scan plane. All times are in s on the robot's monotonic clock and come
-    with each call. `tells_pose`: the robot always sends its pose to its peers. By default the robot
-    sends its pose only if the lidar of a peer may miss this robot.
+    with each call. `own_pose`: the pose of this robot, which this class reads. `tells_pose`: the
+    robot always sends its pose to its peers. By default the robot sends its pose only if the lidar
+    of a peer may miss this robot.
     """
 
-    def __init__(self, platform: Platform, accepts: Accepts, *, tells_pose: bool = False) -> None:
+    def __init__(
+        self,
+        platform: Platform,
+        accepts: Accepts,
+        own_pose: OwnPose,
+        *,
+        tells_pose: bool = False,
+    ) -> None:
         self._tells_pose = tells_pose
         self.own = body_of(platform)
         self._others_speed = assumed_speed(platform)
         self._is_off = platform.protection.get("mode") == "off"
         self._accepts = accepts
-        self._limits = platform.limits
-        self._pose_delay = ArrivalDelay()
-        self._own_pose: _OwnPose | None = None
+        self.own_pose = own_pose
         self._is_missed = False  # a peer's lidar may miss this robot
         self._bodies: Mapping[str, Body | None] = {}
         self._findings: tuple[PeerFinding, ...] = ()
@@ -173,46 +168,9 @@ class Peers:
         self._update_places_until()
         return bool(self._sensed)
 
-    def on_pose(self, pose: SharedPose, twist: Twist | None, now: float) -> float | None:
-        """Take in the own pose in a shared frame; returns the time of the pose in s.
-
-        `twist`: the measured twist, None without fresh odometry. A pose that is invalid, or whose
-        stamp is not newer than the last stamp, is ignored: the method then returns None.
-        """
-        if not pose.is_valid:
-            return None
-        # `late`: s beyond the least delay of own poses, which is at most FASTEST_POSE.
-        late = self._pose_delay.take(pose.stamp, now)
-        if late is None:
-            return None
-        limits = self._limits
-        half = 0.5 * FASTEST_POSE
-        if twist is None:
-            twist = Twist(limits.linear, limits.angular, limits.lateral)
-        shift = half * math.hypot(twist.linear, twist.lateral)
-        at = now - late - half
-        self._own_pose = _OwnPose(pose, at, shift, half * abs(twist.angular))
-        return at
-
-    @property
-    def pose_errors(self) -> tuple[float, float]:
-        """Bounds in m and rad of the errors of the last own pose; its time error is included."""
-        own = self._own_pose
-        assert own is not None
-        return own.shared.error + own.shift, own.shared.yaw_error + own.turn
-
-    def shared_pose(self, now: float) -> tuple[SharedPose, float] | None:
-        """The own pose in a shared frame and its age in s; None without a fresh pose."""
-        own = self._own_pose
-        age = 0.0 if own is None else max(now - own.at, 0.0)
-        return None if own is None or age > POSE_TIMEOUT else (own.shared, age)
-
     def pose_to_tell(self, now: float) -> tuple[SharedPose, float] | None:
         """The own pose to send to peers, and its highest possible age in s; None: send nothing."""
-        if not (self._is_missed or self._tells_pose) or self._own_pose is None:
-            return None
-        age = now - self._own_pose.at + 0.5 * FASTEST_POSE
-        return (self._own_pose.shared, age) if age <= POSE_TIMEOUT else None
+        return self.own_pose.to_tell(now) if self._is_missed or self._tells_pose else None
 
     def on_place(self, place: PeerPlace, now: float) -> bool:
         """Take in the pose that a peer reports in a shared frame; True if the pose can be used.
@@ -221,14 +179,14 @@ class Peers:
         of its own last pose. False without a fresh own pose in the same frame, for an old report,
         for a peer that is far away, and for a peer that the lidar sees.
         """
-        own_pose = self._own_pose
+        own = self.own_pose.last
         body = self._bodies.get(place.robot)
-        if own_pose is None or body is None or not _is_usable(place, own_pose, now):
+        if own is None or body is None or not _is_usable(place, own, now):
             return False
         body_radius = self._radii.get(place.robot)
         if body_radius is None:  # the lidar sees the peer
             return False
-        pose = own_pose.shared.pose
+        pose = own.pose.pose
         reported_at = now - place.age
         # m in the shared frame, from own to peer
         dx = place.x - pose.x
@@ -238,13 +196,29 @@ class Peers:
         disc = _PeerDisc(
             x=cos * dx + sin * dy,  # rotated by -yaw, from the shared frame to the base frame
             y=cos * dy - sin * dx,
-            radius=body_radius + _place_error(place, reported_at, own_pose, body),
-            at=own_pose.at,
-            until=min(own_pose.at, reported_at) + TOLD_TIMEOUT,  # from the older of the two poses
+            radius=body_radius + self._place_error(place, reported_at, own, body),
+            at=own.at,
+            until=min(own.at, reported_at) + TOLD_TIMEOUT,  # from the older of the two poses
         )
         _keep_newer(self._located, place.robot, disc)
         self._update_places_until()
         return True
+
+    def _place_error(
+        self, place: PeerPlace, reported_at: float, own: TimedPose, body: Body
+    ) -> float:
+        """The bound in m of the error of a peer's place in the base frame, at the time of `own`.
+
+        `reported_at`: the time in s of the pose that the peer reports.
+        """
+        shared = own.pose
+        distance = math.hypot(place.x - shared.pose.x, place.y - shared.pose.y)
+        position_error = shared.error + self.own_pose.shift + place.error
+        arc_of_yaw_error = (shared.yaw_error + self.own_pose.turn) * distance
+        # The peer moves after an older report until the time of the own pose. A newer report needs
+        # no such growth: protection assumes that the peer has moved since the time of the own pose.
+        motion_of_peer = body.surface_speed * max(own.at - reported_at, 0.0)
+        return position_error + arc_of_yaw_error + motion_of_peer
 
     def told(self, now: float) -> tuple[ToldObstacle, ...]:
         """The places of near peers that the lidar may miss, as obstacles with their ages.
@@ -325,27 +299,12 @@ def _disc_of(neighbor: Neighbor, body_radius: float, now: float) -> _PeerDisc | 
     )
 
 
-def _is_usable(place: PeerPlace, own_pose: _OwnPose, now: float) -> bool:
+def _is_usable(place: PeerPlace, own: TimedPose, now: float) -> bool:
     """True if own pose and reported place are fresh, in one frame, and not too far apart."""
-    pose = own_pose.shared.pose
-    is_old = now - own_pose.at > POSE_TIMEOUT or place.age > POSE_TIMEOUT
+    pose = own.pose.pose
+    is_old = now - own.at > POSE_TIMEOUT or place.age > POSE_TIMEOUT
     is_far = math.hypot(place.x - pose.x, place.y - pose.y) > MAX_TOLD_DISTANCE
-    return place.frame == own_pose.shared.frame and not is_old and not is_far
-
-
-def _place_error(place: PeerPlace, reported_at: float, own_pose: _OwnPose, body: Body) -> float:
-    """The bound in m of the error of a peer's place in the base frame, at the time of `own_pose`.
-
-    `reported_at`: the time in s of the pose that the peer reports.
-    """
-    shared = own_pose.shared
-    distance = math.hypot(place.x - shared.pose.x, place.y - shared.pose.y)
-    position_error = shared.error + own_pose.shift + place.error
-    arc_of_yaw_error = (shared.yaw_error + own_pose.turn) * distance
-    # The peer moves after an older report until the time of the own pose. A newer report needs no
-    # such growth: protection assumes that the peer has moved since the time of the own pose.
-    motion_of_peer = body.surface_speed * max(own_pose.at - reported_at, 0.0)
-    return position_error + arc_of_yaw_error + motion_of_peer
+    return place.frame == own.pose.frame and not is_old and not is_far
 
 
 def _keep_newer(discs: dict[str, _PeerDisc], robot: str, disc: _PeerDisc) -> None:

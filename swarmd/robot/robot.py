@@ -31,11 +31,11 @@ from swarmd.core.messages import (
     Status,
     Tracks,
 )
-from swarmd.core.values import OPTION_INPUTS, Platform, Scalar, Scan, SharedPose
+from swarmd.core.values import OPTION_INPUTS, Neighbor, Platform, Scalar, Scan, SharedPose
 from swarmd.robot.actions import Actions
 from swarmd.robot.goal_handler import GoalHandler
+from swarmd.robot.own_pose import POSE_TIMEOUT
 from swarmd.robot.pattern_run import PatternRun
-from swarmd.robot.peers import POSE_TIMEOUT
 from swarmd.robot.protection.compatibility import Accepts, longest_diagonal
 from swarmd.robot.protection.decision import Decision
 from swarmd.robot.protection.protection import Protection, ProtectionView
@@ -269,6 +269,11 @@ class Robot(Ticker):
         """The own pose to send to peers, and its highest possible age in s; None: send nothing."""
         return self._sensors.peers.pose_to_tell(now)
 
+    def place_neighbors(self, neighbors: tuple[Neighbor, ...], now: float) -> tuple[Neighbor, ...]:
+        """The neighbors with the places that poses in a shared frame give; for neighborhoods."""
+        sensors = self._sensors
+        return sensors.known_places.by_poses(neighbors, sensors.own_pose.last, now)
+
     def _on_lease(self, one: events.LeaseInput, now: float) -> Actions | None:
         if not self._goals.on_lease(one, now):
             return None
@@ -372,7 +377,7 @@ class Robot(Ticker):
 
     def shared_pose(self, now: float) -> ShownPose | None:
         """The own pose in a shared frame, for viewers; None without a fresh pose."""
-        pose_and_age = self._sensors.peers.shared_pose(now)
+        pose_and_age = self._sensors.own_pose.shown(now)
         if pose_and_age is None:
             return None
         shared, age = pose_and_age

@@ -27,7 +27,6 @@ from swarmd.core.values import (
     Odometry,
     PeerPlace,
     Platform,
-    Pose,
     Scan,
     ScanSpec,
     SharedPose,
@@ -36,7 +35,8 @@ from swarmd.core.values import (
 from swarmd.robot.hazard_holds import HazardHolds
 from swarmd.robot.inbox import Inbox
 from swarmd.robot.input_ages import InputAges
-from swarmd.robot.peers import POSE_TIMEOUT, Peers
+from swarmd.robot.own_pose import OwnPose
+from swarmd.robot.peers import Peers
 from swarmd.robot.protection.compatibility import (
     ACCEPTS_NONE,
     Accepts,
@@ -70,7 +70,6 @@ class Sensors(InputAges):
     scan: Scan | None
     odometry: Odometry | None
     readings: Mapping[str, float]
-    pose: Pose | None
 
     def __init__(
         self,
@@ -92,9 +91,10 @@ class Sensors(InputAges):
         self._ring = None if ring is None else RangeRing(platform, ring, self.ring_hold)
         self._given: tuple[Neighbor, ...] = ()  # neighbours as the driver sent them
         self._neighbor_ids: frozenset[str] | None = None  # None until the next message needs it
-        self.peers = Peers(platform, accepts, tells_pose=tells_pose)
-        self._known_places = NeighborPlaces()
-        self._places = self._known_places if PLACES_BY_POSE & platform.provides else None
+        self.own_pose = OwnPose(platform.limits)
+        self.peers = Peers(platform, accepts, self.own_pose, tells_pose=tells_pose)
+        self.known_places = NeighborPlaces()
+        self._places = self.known_places if PLACES_BY_POSE & platform.provides else None
         self._make_kin = make_kin if KIN in platform.provides else None
         # m from the axle ahead to the middle of what other lidars see.
         self._middle = 0.5 * float(platform.footprint[:, 0].min() + platform.footprint[:, 0].max())
@@ -123,13 +123,10 @@ class Sensors(InputAges):
         self._scan_times: deque[float] = deque(maxlen=SCAN_TIMES)
 
     def _begin_driver_reports(self) -> None:
-        """Set hazards, readings, own pose and driver state to the values before any report."""
+        """Set hazards, readings and driver state to the values before any report."""
         self.hazards = HazardHolds()
         self.readings = {}  # scalar sensors, by name
         self._forget_option_inputs()  # sets detections and other optional inputs to None
-        # in a shared frame; usable until, in s
-        self.pose = None
-        self.pose_until = -math.inf
         self.stale_readings: tuple[str, ...] = ()  # names of readings that are too old
         self.driver_text = "not connected yet"
         self.gets_zero = False  # True: the driver still sends zero to a base that counts as lost
@@ -197,15 +194,11 @@ class Sensors(InputAges):
     def on_pose(self, pose: SharedPose, now: float) -> None:
         """Take in the own pose in a shared frame."""
         odometry = self._fresh_odometry(now)
-        at = self.peers.on_pose(pose, None if odometry is None else odometry.twist, now)
-        if at is not None:
-            self.pose = pose.pose
-            self.pose_until = at + POSE_TIMEOUT
-            self._known_places.on_pose(pose, at)
-            if self._anchors is not None:
-                self._anchors.on_pose(pose, at, self.peers.pose_errors, self._odometry_at)
-                self._context = None
-                self.pose_hold.begins = self._anchors.until
+        own = self.own_pose.take(pose, None if odometry is None else odometry.twist, now)
+        if own is not None and self._anchors is not None:
+            self._anchors.on_pose(pose, own.at, self.own_pose.errors, self._odometry_at)
+            self._context = None
+            self.pose_hold.begins = self._anchors.until
 
     def pose_text(self, now: float) -> str:
         """Why layers have no usable pose; empty with a pose, and without a layer that needs one."""
@@ -213,7 +206,7 @@ class Sensors(InputAges):
 
     def on_place(self, place: PeerPlace, now: float) -> None:
         """Take in the place that a peer reports in a shared frame."""
-        self._known_places.on_place(place, now)
+        self.known_places.on_place(place, now)
         if self.peers.on_place(place, now):
             self._look_at_peers()
 
@@ -294,7 +287,7 @@ class Sensors(InputAges):
         (value,) = astuple(input)
         setattr(self, tag_of(input), value)
         if isinstance(input, DetectionsInput):
-            self._known_places.on_detections(input.detections, now)
+            self.known_places.on_detections(input.detections, now)
 
     def _forget_option_inputs(self) -> None:
         for name in OPTION_INPUTS:

@@ -62,25 +62,22 @@ _RENEWS: Mapping[State, tuple[Trigger, ...]] = MappingProxyType(
 )
 
 
-@cython.final
 @cython.cclass
 class StateMachine:
     """The state, its one reason, one line of detail, and the time of the last change of state."""
 
-    state: State = cython.declare(object, visibility="readonly")
-    reason: Reason | None = cython.declare(object, visibility="readonly")
-    detail: str = cython.declare(object, visibility="readonly")
-    since = cython.declare(cython.double, visibility="readonly")  # s on the robot's clock
+    state: State
+    reason: Reason | None
+    detail: str
+    since: float  # s on the robot's clock
 
-    def __init__(self, now: cython.double) -> None:
+    def __init__(self, now: float) -> None:
         self.state = State.IDLE
         self.reason = Reason.NEVER_ASKED
         self.detail = ""
         self.since = now
 
-    def apply(
-        self, trigger: Trigger, reason: Reason | None, detail: str, now: cython.double
-    ) -> None:
+    def apply(self, trigger: Trigger, reason: Reason | None, detail: str, now: float) -> None:
         """Change state, reason and detail by a trigger.
 
         If the trigger leads to the present state, the present reason stays, unless `_RENEWS` lists

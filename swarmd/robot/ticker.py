@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from swarmd.core import cython_shadow as cython
 from swarmd.core.avoided import Avoided, WayState
 from swarmd.core.clock import STALL_TIMEOUT
-from swarmd.core.cython_shadow import INFINITY, fabs, isnan
+from swarmd.core.cython_shadow import INFINITY, Table, fabs, isnan
 from swarmd.core.events import HostInput
 from swarmd.core.host_messages import Step, Stepped
 from swarmd.core.messages import Reason, State
@@ -44,28 +44,26 @@ if TYPE_CHECKING:
     from swarmd.robot.status_watch import StatusWatch
     from swarmd.robot.steering_interface import Steers
 
-_MAX_HOLD_TIME = cython.declare(cython.double, timeouts.MAX_HOLD_TIME)
-_STATUS_PERIOD = cython.declare(cython.double, timeouts.STATUS_PERIOD)
-_STALL_TIMEOUT = cython.declare(cython.double, STALL_TIMEOUT)
+_MAX_HOLD_TIME = timeouts.MAX_HOLD_TIME
+_STATUS_PERIOD = timeouts.STATUS_PERIOD
+_STALL_TIMEOUT = STALL_TIMEOUT
 # Constants as C variables: Cython looks up a Python global in a dict at each use.
-_RUNNING = cython.declare(object, State.RUNNING)
-_IDLE = cython.declare(object, State.IDLE)
-_Actions = cython.declare(object, Actions)
-_HostInput = cython.declare(object, HostInput)
-_Step = cython.declare(object, Step)
-_Stepped = cython.declare(object, Stepped)
-_no_permit = cython.declare(object, NO_PERMIT)
-_Steered = cython.declare(object, Steered)
-_Twist = cython.declare(object, Twist)
-_Avoided = cython.declare(object, Avoided)
-_WayState = cython.declare(object, WayState)
-_stand = cython.declare(object, Steered(ZERO))  # asked in place of steering that failed
-_STALE_MARGIN = cython.declare(cython.double, 1e-4)  # s after a scan is stale until the alarm
+_RUNNING = State.RUNNING
+_IDLE = State.IDLE
+_Actions = Actions
+_HostInput = HostInput
+_Step = Step
+_Stepped = Stepped
+_no_permit = NO_PERMIT
+_Steered = Steered
+_Twist = Twist
+_Avoided = Avoided
+_WayState = WayState
+_stand = Steered(ZERO)  # asked in place of steering that failed
+_STALE_MARGIN = 1e-4  # s after a scan is stale until the alarm
 
 
-@cython.cfunc
-@cython.exceptval(-1)
-def _check_steered(steered: Any) -> cython.int:
+def _check_steered(steered: Any) -> None:
     """Raise TypeError or ValueError unless all that steering gave is of the declared types."""
     if type(steered) is not _Steered or type(steered.is_recovering) is not bool:
         raise TypeError("it gave something else than what it asks (Steered)")
@@ -73,28 +71,26 @@ def _check_steered(steered: Any) -> cython.int:
     avoided = steered.avoided
     if type(twist) is not _Twist:
         raise TypeError("it asks something else than a command (Twist)")
-    linear: cython.double = twist.linear
-    angular: cython.double = twist.angular
-    lateral: cython.double = twist.lateral
+    linear = twist.linear
+    angular = twist.angular
+    lateral = twist.lateral
     if not (fabs(linear) < INFINITY and fabs(angular) < INFINITY and fabs(lateral) < INFINITY):
         raise ValueError(f"it asks {linear:g}, {angular:g} and {lateral:g} m/s and rad/s")
     if avoided is not None:
         if type(avoided) is not _Avoided or type(avoided.way) is not _WayState:
             raise TypeError("it avoids something else than an object or an opening (Avoided)")
-        bearing: cython.double = avoided.bearing
-        distance: cython.double = avoided.distance
+        bearing = avoided.bearing
+        distance = avoided.distance
         if not (fabs(bearing) < INFINITY and fabs(distance) < INFINITY):
             raise ValueError(f"it avoids something at {bearing:g} rad and {distance:g} m")
-    return 0
 
 
-@cython.final
 @cython.cclass
 class DutyCycle:
     """Counts the ticks in `running` since the last run began, and those with active protection."""
 
-    decisions = cython.declare(cython.Py_ssize_t, visibility="readonly")
-    active = cython.declare(cython.Py_ssize_t, visibility="readonly")
+    decisions: int
+    active: int
 
     @property
     def share(self) -> float:
@@ -117,36 +113,34 @@ class Ticker:
     Odometry, neighbours, readings and messages change no deadline: these events set neither time.
     """
 
-    decision: Decision = cython.declare(object, visibility="public")
-    decided_at = cython.declare(cython.double, visibility="public")
-    _sensors: Sensors = cython.declare(InputAges, visibility="public")
-    _run: PatternRun = cython.declare(PatternRun, visibility="public")
-    _lifecycle: Lifecycle = cython.declare(object, visibility="public")
-    _machine: StateMachine = cython.declare(StateMachine, visibility="public")
-    _kept_goals: Goals = cython.declare(object, visibility="public")
-    _requests: RequestHandler = cython.declare(object, visibility="public")
-    _protection: Protection = cython.declare(object, visibility="public")
-    _steering: Steers = cython.declare(object, visibility="public")
-    _duty: DutyCycle = cython.declare(DutyCycle, visibility="public")
-    _log: RobotLog = cython.declare(object, visibility="public")
-    _standing: StandingWatch = cython.declare(object, visibility="public")
-    _status_watch: StatusWatch = cython.declare(object, visibility="public")
-    _last_tick = cython.declare(cython.double, visibility="public")
-    _due_at = cython.declare(cython.double, visibility="public")
-    _quiet_until = cython.declare(cython.double, visibility="public")
-    _published_at = cython.declare(cython.double, visibility="public")
+    decision: Decision
+    decided_at: float
+    _sensors: Sensors
+    _run: PatternRun
+    _lifecycle: Lifecycle
+    _machine: StateMachine
+    _kept_goals: Goals
+    _requests: RequestHandler
+    _protection: Protection
+    _steering: Steers
+    _duty: DutyCycle
+    _log: RobotLog
+    _standing: StandingWatch
+    _status_watch: StatusWatch
+    _last_tick: float
+    _due_at: float
+    _quiet_until: float
+    _published_at: float
     # The lifecycle may have changed since the last check for a new status.
-    _is_status_due = cython.declare(cython.bint, visibility="public")
+    _is_status_due: bool
     _blind: str  # the text of the blind sectors that was logged last
-    _restarts: cython.Py_ssize_t  # the logged count of restarts of the scan delay's estimate
+    _restarts: int  # the logged count of restarts of the scan delay's estimate
     # The base does not follow its commands.
-    _is_off_command = cython.declare(cython.bint, visibility="public")
+    _is_off_command: bool
     # By type of input: the function (robot, input, time) that handles this type.
-    _handlers: dict[type[Input], Callable[[Any, Any, float], Actions | None]] = cython.declare(
-        dict, visibility="public"
-    )
+    _handlers: dict[type[Input], Callable[[Any, Any, float], Actions | None]]
     # The hold after the last event; no tick is quiet under a hold.
-    _hold: Reason | None = cython.declare(object, visibility="public")
+    _hold: Reason | None
     _settled: Actions  # the actions of the last event that was not a quiet tick
 
     def __init__(self) -> None:
@@ -158,7 +152,7 @@ class Ticker:
         self._is_status_due = True
         self._blind = ""
 
-    def step(self, input: Input, now: cython.double) -> Actions | None:
+    def step(self, input: Input, now: float) -> Actions | None:
         """Handle one input at `now`; returns the work of the shell, None without work."""
         if type(input) is _HostInput and type(input.event) is _Stepped:
             effects = Ticker._begin(self, now)
@@ -166,8 +160,7 @@ class Ticker:
             return self._settled_after(effects)
         return self._handlers[type(input)](self, input, now)
 
-    @cython.ccall
-    def _begin(self, now: cython.double) -> Effects:
+    def _begin(self, now: float) -> Effects:
         """Begin the effects of an event. After a stall of the loop, ends the run first."""
         effects = Effects(now)
         late = now - self._last_tick
@@ -177,7 +170,7 @@ class Ticker:
             self._lifecycle.stall(late, effects)
         return effects
 
-    def _on_tick(self, one: TickInput, now: cython.double) -> Actions:
+    def _on_tick(self, one: TickInput, now: float) -> Actions:
         actions = self._tick(now)
         if actions is not None:
             return actions
@@ -190,15 +183,14 @@ class Ticker:
         is_quiet = True
         return _Actions(twist, decision, requested_scan_seq, is_idle, is_stopped, is_quiet)
 
-    @cython.cfunc
-    def _tick(self, now: cython.double) -> Actions | None:
+    def _tick(self, now: float) -> Actions | None:
         """Check all deadlines; the shell calls this at 20 Hz, at rest at 10 Hz, and at `wake_at`.
 
         Returns the actions; None after a quiet tick, which only computes the safe command.
         """
         if now >= self._quiet_until:
             self._look_ahead(now)
-        is_quiet: cython.bint = now < self._quiet_until and now - self._last_tick <= _STALL_TIMEOUT
+        is_quiet = now < self._quiet_until and now - self._last_tick <= _STALL_TIMEOUT
         if now > self._sensors.pose_hold.begins:  # a jump of pose or odometry ends no quiet time
             is_quiet = False
         effects = None if is_quiet else Ticker._begin(self, now)
@@ -217,7 +209,6 @@ class Ticker:
     def _settle(self, effects: Effects) -> Actions:
         return self._settled_after(effects)
 
-    @cython.cfunc
     def _settled_after(self, effects: Effects) -> Actions:
         """Check holds and deadlines after an event, decide, and return the actions of the shell.
 
@@ -235,11 +226,10 @@ class Ticker:
         # A status is made only at a tick, so that replies to requests do not wait for it. The
         # exception is a new latch, which peers must learn at once.
         may_publish = effects.is_tick or effects.is_latched
-        has_status: cython.bint = may_publish and self._must_publish(now)
+        has_status = may_publish and self._must_publish(now)
         actions = self._settled = self._actions(effects, decision, host_command, has_status)
         return actions
 
-    @cython.cfunc
     def _checked_hold(self, effects: Effects) -> Reason | None:
         """The present hold, else None. Ends the run for a hazard, and acts on due deadlines."""
         now = effects.now
@@ -247,8 +237,7 @@ class Ticker:
         running = self._run.running
         # How late (s beyond the latency of the platform) scans may be for the running pattern.
         hand = self._run.hand
-        is_driven: cython.bint = hand is not None and hand.is_driving
-        delay: cython.double
+        is_driven = hand is not None and hand.is_driving
         delay = 0.0 if running is None or is_driven else running.permit.scan_delay
         InputAges.permit_delay(sensors, delay)
         hold = InputAges.hold(sensors, now)
@@ -264,7 +253,6 @@ class Ticker:
             self._due_at = -INFINITY
         return hold
 
-    @cython.cfunc
     def _host_command(self, effects: Effects) -> HostCommand | None:
         """The command of this event for the pattern host: the next step if no other is wanted."""
         run = self._run
@@ -277,8 +265,7 @@ class Ticker:
             run.running.generation, InputAges.inputs(self._sensors, now, run.stepping(now))
         )
 
-    @cython.cfunc
-    def _must_publish(self, now: cython.double) -> cython.bint:
+    def _must_publish(self, now: float) -> bool:
         """True if a status is due, which then counts as published.
 
         That is if a value that peers act on has changed, or after STATUS_PERIOD.
@@ -287,27 +274,25 @@ class Ticker:
             return False
         self._is_status_due = False  # nothing has changed since this check
         self._watch_standing(now)
-        is_recent: cython.bint = now - self._published_at < _STATUS_PERIOD
+        is_recent = now - self._published_at < _STATUS_PERIOD
         if not self._status_watch.take_due(self.decision, is_recent):
             return False
         self._published_at = now
         return True
 
-    @cython.cfunc
-    def _watch_standing(self, now: cython.double) -> cython.int:
+    def _watch_standing(self, now: float) -> None:
         """Notice a robot that protection keeps in place, and log that it does."""
         sensors = self._sensors
         pose = None if sensors.odometry is None else sensors.odometry.pose
         if self._standing.update(self.decision, pose, sensors.scan, now):
             self._log.held(now)
 
-    @cython.cfunc
     def _actions(
         self,
         effects: Effects,
         decision: Decision,
         host_command: HostCommand | None,
-        has_status: cython.bint,
+        has_status: bool,
     ) -> Actions:
         """The actions after an event.
 
@@ -318,9 +303,9 @@ class Ticker:
         state = self._machine.state
         twist = decision.safe
         requested_scan_seq = -1 if running is None else running.scan_seq
-        has_hand: cython.bint = self._run.hand is not None
-        is_idle: cython.bint = self._sensors.is_driver_up and state is _IDLE and not has_hand
-        is_stopped: cython.bint = state is not _IDLE and state is not _RUNNING and not has_hand
+        has_hand = self._run.hand is not None
+        is_idle = self._sensors.is_driver_up and state is _IDLE and not has_hand
+        is_stopped = state is not _IDLE and state is not _RUNNING and not has_hand
         is_quiet = False
         latches = self._lifecycle.latches.record() if effects.is_latched else None
         goals = self._kept_goals.take_record() if self._kept_goals.is_changed else None
@@ -352,8 +337,7 @@ class Ticker:
             kin_message,
         )
 
-    @cython.cfunc
-    def _look_ahead(self, now: cython.double) -> None:
+    def _look_ahead(self, now: float) -> None:
         """Set `_quiet_until` and `_due_at` for a time without events; no quiet ticks in a hold."""
         if self._hold is not None:
             return
@@ -365,13 +349,12 @@ class Ticker:
             due = min(due, self._run.step_due_at(), self._published_at + _STATUS_PERIOD)
             self._quiet_until = due - ROUNDING
 
-    @cython.cfunc
-    def _lifecycle_due_at(self) -> cython.double:
+    def _lifecycle_due_at(self) -> float:
         """A time before which `advance` without a hold changes nothing; inf without a deadline."""
         lifecycle = self._lifecycle
         if lifecycle.params_request is not None or lifecycle.trial is not None:
             return -INFINITY
-        due: cython.double = self._run.lifecycle_due_at()
+        due = self._run.lifecycle_due_at()
         if self._kept_goals.lease_until is not None and self._kept_goals.lease_ends is not None:
             due = min(due, self._kept_goals.lease_ends)
         return due
@@ -386,7 +369,7 @@ class Ticker:
         is_due = self._machine.state is _RUNNING or self._lifecycle_due_at() < INFINITY
         return bool(self._sensors.is_driver_up) and not is_due
 
-    def _on_scan(self, one: ScanInput, now: cython.double) -> Actions:
+    def _on_scan(self, one: ScanInput, now: float) -> Actions:
         effects: Effects = Ticker._begin(self, now)
         sensors = self._sensors
         protection = self._protection
@@ -404,13 +387,12 @@ class Ticker:
             if protection.events:
                 self._log.protection(protection.events, now)
             running = self._run.running
-            asks: cython.bint = running is not None and running.needs_places
+            asks = running is not None and running.needs_places
             if asks or sensors.kin is not None:
                 effects.kin_message = self._share(context, asks)
         return self._settled_after(effects)
 
-    @cython.cfunc
-    def _share(self, context: DecisionContext, asks: cython.bint) -> KinMessage | None:
+    def _share(self, context: DecisionContext, asks: bool) -> KinMessage | None:
         """Name the tracks after a new scan; the message to peers that is due, or None.
 
         `asks`: the running pattern needs the places of peers.
@@ -430,16 +412,14 @@ class Ticker:
         kin.observe(tracks, scan, now)
         return kin.next_message(now, asks != 0)
 
-    @cython.cfunc
-    def _look_at_stamps(self, now: cython.double) -> None:
+    def _look_at_stamps(self, now: float) -> None:
         """Log that stamps of scan or odometry jumped, and the scan delay is measured anew."""
-        restarts: cython.Py_ssize_t = self._sensors.scan_delay.restarts
+        restarts = self._sensors.scan_delay.restarts
         if restarts != self._restarts:
             self._restarts = restarts
             self._log.stamps_jumped(now)
 
-    @cython.ccall
-    def _take_odometry(self, odometry: Odometry, now: cython.double) -> None:
+    def _take_odometry(self, odometry: Odometry, now: float) -> None:
         sensors = self._sensors
         protection = self._protection
         InputAges.on_odometry(sensors, odometry, now)
@@ -450,30 +430,28 @@ class Ticker:
             if protection.events:
                 self._log.protection(protection.events, now)
             text = protection.not_following
-            is_off_command: cython.bint = bool(text)
+            is_off_command = bool(text)
             if is_off_command != self._is_off_command:
                 self._is_off_command = is_off_command
                 if is_off_command or self._machine.state is _RUNNING:
                     self._log.following(text, now)
-            blocked_bearing: cython.double = protection.following.blocked_bearing
+            blocked_bearing = protection.following.blocked_bearing
             if not isnan(blocked_bearing):
                 sensors.on_blocked(blocked_bearing, now)
 
-    @cython.ccall
-    def _on_message(self, one: MessageInput, now: cython.double) -> None:
+    def _on_message(self, one: MessageInput, now: float) -> None:
         """Take in a message; ignored on a channel that the running pattern does not declare."""
         running = self._run.running
         channel = None if running is None else Running.channel(running, one.channel)
         if channel is not None:
             self._sensors.on_message(one.sender, channel, one.value, now, one.is_program, one.size)
 
-    @cython.ccall
-    def _decide(self, hold: Reason | None, now: cython.double) -> Decision:
+    def _decide(self, hold: Reason | None, now: float) -> Decision:
         """Decide on the safe command. Protection decides last, on what steering asks."""
         running = self._run.running
         context = InputAges.context(self._sensors, now)
         requested: Twist | None = None
-        is_running: cython.bint = False
+        is_running = False
         permit = _no_permit
         if running is not None:
             requested = running.requested
@@ -497,7 +475,7 @@ class Ticker:
         self.decision = decision
         return decision
 
-    def wake_at(self, now: cython.double) -> float | None:
+    def wake_at(self, now: float) -> float | None:
         """The next deadline in s for a tick between two regular ticks; None without a deadline.
 
         Counts the deadlines of the pattern run, the run lease, the scans and the longest hold. All
@@ -517,7 +495,7 @@ class Ticker:
 
 
 def tick_many(
-    robots: list[Any], rows: list[int], commands: cython.double[:, ::1], now: cython.double
+    robots: list[Any], rows: list[int], commands: Table, now: float
 ) -> list[tuple[int, Actions]]:
     """Tick many robots; returns index and actions of each robot whose tick is not quiet.
 
@@ -527,8 +505,6 @@ def tick_many(
     """
     not_quiet: list[Any] = []
     robot: Ticker
-    i: cython.Py_ssize_t
-    row: cython.Py_ssize_t
     for i in range(len(robots)):
         robot = robots[i]
         actions = robot._tick(now)
@@ -543,17 +519,16 @@ def tick_many(
     return not_quiet
 
 
-def odometry_many(robots: list[Any], readings: list[Any], now: cython.double) -> None:
+def odometry_many(robots: list[Any], readings: list[Any], now: float) -> None:
     """Hand each reading to the robot at the same index; a robot of None is skipped."""
     robot: Ticker
-    i: cython.Py_ssize_t
     for i in range(len(robots)):
         robot = robots[i]
         if robot is not None:
             robot._take_odometry(readings[i], now)
 
 
-def message_many(robots: list[Any], message: MessageInput, now: cython.double) -> None:
+def message_many(robots: list[Any], message: MessageInput, now: float) -> None:
     """Hand a message to each of its receivers; a robot of None is skipped."""
     robot: Ticker
     for robot in robots:
@@ -561,12 +536,12 @@ def message_many(robots: list[Any], message: MessageInput, now: cython.double) -
             robot._on_message(message, now)
 
 
-def kin_many(robots: list[Any], one: KinInput, now: cython.double) -> list[Any]:
+def kin_many(robots: list[Any], one: KinInput, now: float) -> list[Any]:
     """What names peers, of each receiver of what a robot tells; a robot of None is skipped.
 
     As `InputAges.on_kin`, but the caller hands the message over.
     """
-    asks: cython.bint = one.message.asks
+    asks = one.message.asks
     hearing: list[Any] = []
     robot: Ticker
     for robot in robots:

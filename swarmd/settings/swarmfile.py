@@ -155,8 +155,8 @@ class RecordingSection(FileLimits, frozen=True, kw_only=True, forbid_unknown_fie
 class BlackboxSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The black box: what a robot keeps for the recording of an incident.
 
-    - `seconds`: how much it keeps in memory, from 10 to 600 s; 0 turns it off. 60 s take 4 MB.
-    - `folder`: of its file, on a file system in memory; by default the `RuntimeDirectory` of the
+    - `seconds`: how much it keeps in RAM, from 10 to 600 s; 0 turns it off. 60 s take 4 MB.
+    - `folder`: of its file, on a file system in RAM; by default the `RuntimeDirectory` of the
       service, else `/dev/shm/swarmd-<uid>`. A file on a disk would be written to the disk all the
       time.
     """

@@ -29,7 +29,7 @@ from swarmd.daemon.recorder import Recorder
 from swarmd.daemon.recording import frames
 from swarmd.daemon.recording.head import RecordingHead
 from swarmd.daemon.recording.incident_file import IncidentHead, read, read_head
-from swarmd.daemon.recording.ring import Ring, entries_of, memory_folder, read_left, remove_old
+from swarmd.daemon.recording.ring import Ring, entries_of, ring_folder, read_left, remove_old
 from swarmd.link.datagram import STATES, Beacon
 from swarmd.link.keys.content_signature import Purpose, sign
 from swarmd.link.keys.identity import Identity
@@ -455,8 +455,8 @@ def test_the_folder_in_memory_is_of_this_user_alone(tmp_path: Path) -> None:
     (tmp_path / "link").symlink_to(tmp_path)
     for name in ("open", "link"):
         with pytest.raises(OSError, match="alone"):
-            memory_folder(str(tmp_path / name), {})
-    made = memory_folder(None, {"RUNTIME_DIRECTORY": str(tmp_path / "run")})
+            ring_folder(str(tmp_path / name), {})
+    made = ring_folder(None, {"RUNTIME_DIRECTORY": str(tmp_path / "run")})
     assert made.stat().st_mode & 0o777 == 0o700
 
 

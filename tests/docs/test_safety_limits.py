@@ -11,7 +11,8 @@ from swarmd.core.clock import STALL_TIMEOUT
 from swarmd.core.values import MAX_EXTRAPOLATION, MAX_SPEED, MAX_STEP, MAX_TOLD_DISTANCE
 from swarmd.robot import timeouts
 from swarmd.robot.hazard_holds import CLEAR_TIME
-from swarmd.robot.peers import FASTEST_POSE, POSE_TIMEOUT, TOLD_TIMEOUT
+from swarmd.robot.own_pose import FASTEST_POSE, POSE_TIMEOUT
+from swarmd.robot.peers import TOLD_TIMEOUT
 from swarmd.robot.protection.binding_range import REACTION_TIME
 from swarmd.robot.protection.fence import fence_pose
 from swarmd.robot.protection.settings import ODOMETRY_SHARE

@@ -356,7 +356,7 @@ class BlackBox:
                 names.update(values)
 
 
-def memory_folder() -> Path:
-    """A new folder on a file system in memory."""
+def new_ring_folder() -> Path:
+    """A new folder on a file system in RAM."""
     shared = Path("/dev/shm")
     return Path(tempfile.mkdtemp(prefix="swarmd-history-", dir=shared if shared.is_dir() else None))

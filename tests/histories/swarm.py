@@ -117,7 +117,7 @@ from swarmd.robot.setup import EarlierLives, RobotSetup
 from swarmd.robot.steering.steering import Steering
 from swarmd.settings.robot_settings import RobotSettings
 from swarmd.settings.settings import load_platform
-from tests.histories.black_box import BlackBox, Death, memory_folder
+from tests.histories.black_box import BlackBox, Death, new_ring_folder
 from tests.support.fake_services import fake_services
 from tests.support.no_real_clock import no_real_clock
 
@@ -320,7 +320,7 @@ class VirtualSwarm:
         self._events: list[tuple[float, int, Callable[[], object]]] = []
         self._order = itertools.count()
         self.chance_of_ids = random.Random(f"incidents {seed}")
-        self.folder, self.rings = memory_folder(), set[Ring]()
+        self.folder, self.rings = new_ring_folder(), set[Ring]()
         self.close = weakref.finalize(self, _remove, self.folder, self.rings)
 
     def add(self, node: Node) -> None:

@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import pytest
 
-from swarmd.core.values import Neighbor, PeerPlace, Pose, SharedPose
+from swarmd.core.neighbor_places import NeighborPlaces, TimedPose
+from swarmd.core.values import Detection, Neighbor, PeerPlace, Pose, SharedPose
 from swarmd.link.members.neighbor_settings import NeighborSettings
-from swarmd.link.members.neighborhood import Link, Neighborhood
+from swarmd.link.members.neighborhood import Link, Neighborhood, PlaceNeighbors
 
 
-def by_range(meters: float = 1.0) -> Neighborhood:
-    return Neighborhood(NeighborSettings(neighborhood="range", range=meters))
+def as_heard(neighbors: tuple[Neighbor, ...], now: float) -> tuple[Neighbor, ...]:
+    return neighbors
+
+
+def by_range(meters: float = 1.0, place: PlaceNeighbors = as_heard) -> Neighborhood:
+    return Neighborhood(NeighborSettings(neighborhood="range", range=meters), place)
 
 
 def near(neighborhood: Neighborhood, *candidates: Neighbor, now: float = 0.0) -> list[str]:
@@ -30,7 +35,9 @@ def own_pose(*, frame: str = "map") -> SharedPose:
 
 
 def test_all_robots_are_neighbors_by_default() -> None:
-    assert near(Neighborhood(NeighborSettings()), at(None), Neighbor("r03", 0.0, 99.0)) == [
+    assert near(
+        Neighborhood(NeighborSettings(), as_heard), at(None), Neighbor("r03", 0.0, 99.0)
+    ) == [
         "r02",
         "r03",
     ]
@@ -52,23 +59,42 @@ def test_a_robot_of_unknown_distance_is_out_of_reach() -> None:
     assert near(by_range(), at(None)) == []
 
 
+class Robot:
+    """What a robot knows of places: the own pose, and those of others."""
+
+    def __init__(self) -> None:
+        self.own: TimedPose | None = None
+        self.known = NeighborPlaces()
+
+    def place(self, neighbors: tuple[Neighbor, ...], now: float) -> tuple[Neighbor, ...]:
+        return self.known.by_poses(neighbors, self.own, now)
+
+
 def test_told_places_give_the_distance_while_they_are_fresh() -> None:
-    robot = by_range(1.0)
-    robot.places.on_place(place(0.8, age=0.3), 10.0)
-    assert near(robot, at(None), now=10.0) == []  # without an own pose
-    robot.places.on_pose(own_pose(), 10.0)
-    robot.places.on_place(place(0.8, age=0.2), 10.0)
-    assert near(robot, at(None), now=10.8) == ["r02"]
-    assert near(robot, at(None), now=10.81) == []
-    robot.places.on_place(place(0.8, frame="other"), 11.0)
-    assert near(robot, at(None), now=11.0) == []
+    robot = Robot()
+    range = by_range(1.0, robot.place)
+    robot.known.on_place(place(0.8, age=0.3), 10.0)
+    assert near(range, at(None), now=10.0) == []  # without an own pose
+    robot.own = TimedPose(own_pose(), 10.0)
+    robot.known.on_place(place(0.8, age=0.2), 10.0)
+    assert near(range, at(None), now=10.8) == ["r02"]
+    assert near(range, at(None), now=10.81) == []
+    robot.known.on_place(place(0.8, frame="other"), 11.0)
+    assert near(range, at(None), now=11.0) == []
 
 
 def test_a_measured_distance_precedes_a_told_one() -> None:
-    robot = by_range(1.0)
-    robot.places.on_pose(own_pose(), 10.0)
-    robot.places.on_place(place(0.5), 0.0)
-    assert near(robot, at(2.0)) == []
+    robot = Robot()
+    robot.own = TimedPose(own_pose(), 10.0)
+    robot.known.on_place(place(0.5), 10.0)
+    assert near(by_range(1.0, robot.place), at(2.0), now=10.0) == []
+
+
+def test_the_place_of_a_tag_gives_no_reach() -> None:
+    """It says where a robot is that is seen, and is no part of the settings of neighborhoods."""
+    robot = Robot()
+    robot.known.on_detections((Detection("robot", 0.0, 0.5, "r02"),), 10.0)
+    assert near(by_range(1.0, robot.place), at(None), now=10.0) == []
 
 
 @pytest.mark.parametrize(
@@ -87,7 +113,7 @@ def test_a_measured_distance_precedes_a_told_one() -> None:
 )
 def test_links_have_a_hysteresis(link: Link | None, before: bool, after: bool) -> None:
     settings = NeighborSettings(neighborhood="link", quality=0.8, signal=-75.0)
-    robot = Neighborhood(settings)
+    robot = Neighborhood(settings, as_heard)
     if before:
         assert robot.select([at(None)], 0.0, {"r02": Link(1.0, -50.0)})[0].in_reach
     links = {} if link is None else {"r02": link}

@@ -9,11 +9,11 @@ from msgspec import structs
 
 from swarmd.core import neighbor_places
 from swarmd.core.events import DetectionsInput
-from swarmd.core.neighbor_places import NeighborPlaces
+from swarmd.core.neighbor_places import NeighborPlaces, TimedPose
 from swarmd.core.values import Detection, Neighbor, PeerPlace, Pose, SharedPose, Value, lacks_text
 from swarmd.pattern_host.loader import PatternLoader
 from swarmd.plugins import pattern_names, places_of
-from swarmd.robot.peers import FASTEST_POSE
+from swarmd.robot.own_pose import FASTEST_POSE
 from swarmd.robot.protection.compatibility import body_of
 from swarmd.robot.sensors import Sensors
 from swarmd.settings.platforms import load_platform
@@ -26,6 +26,7 @@ BY_NEIGHBORS = (
 )  # fmt: skip
 HEARD = Neighbor("b", 0.2)
 OWN = SharedPose(0.0, Pose(1.0, 2.0, math.pi / 2), error=0.02, yaw_error=0.01, frame="map")
+AT_10 = TimedPose(OWN, 10.0)
 
 
 def place(x: float, y: float, heading: float | None = None, **changes: object) -> PeerPlace:
@@ -38,11 +39,10 @@ def completed(
 ) -> Neighbor:
     """The neighbour `after` s, after the own pose and the places at 10 s."""
     known = NeighborPlaces()
-    if own is not None:
-        known.on_pose(own, 10.0)
     for one in places:
         known.on_place(one, 10.0)
-    (neighbor,) = known.complete((heard,), 10.0 + after)
+    timed = None if own is None else TimedPose(own, 10.0)
+    (neighbor,) = known.complete((heard,), timed, 10.0 + after)
     return neighbor
 
 
@@ -108,10 +108,9 @@ def seen(*detections: Detection, after: float = 0.1, at: PeerPlace | None = None
     known = NeighborPlaces()
     known.on_detections(detections, 10.0)
     if at is not None:
-        known.on_pose(OWN, 10.0)
         known.on_place(at, 10.0)
     known.on_detections(None, 10.05)  # no fresh value: the last place grows old
-    (neighbor,) = known.complete((HEARD,), 10.0 + after)
+    (neighbor,) = known.complete((HEARD,), AT_10, 10.0 + after)
     return neighbor
 
 
@@ -144,10 +143,9 @@ def test_the_places_of_more_peers_than_the_bound_drop_the_oldest(
 ) -> None:
     monkeypatch.setattr(neighbor_places, "MAX_PEERS", 2)
     known = NeighborPlaces()
-    known.on_pose(OWN, 10.0)
     for robot in ("b", "c", "b", "d"):
         known.on_place(place(1.0, 5.0, robot=robot), 10.0)
-    peers = known.complete((HEARD, Neighbor("c", 0.0), Neighbor("d", 0.0)), 10.0)
+    peers = known.complete((HEARD, Neighbor("c", 0.0), Neighbor("d", 0.0)), AT_10, 10.0)
     assert [peer.distance is None for peer in peers] == [False, True, False]
 
 
@@ -247,18 +245,18 @@ def test_the_nearest_of_two_tags_of_one_robot_counts_and_a_measured_distance_pre
     near, far = Detection("robot", 0.2, 0.5, "b"), Detection("robot", 3.0, 9.0, "b")
     for both in ((near, far), (far, near)):
         known.on_detections(both, 10.0)
-        (peer,) = known.complete((HEARD,), 10.1)
+        (peer,) = known.complete((HEARD,), None, 10.1)
         assert (peer.distance, peer.bearing) == (0.5, 0.2)
-    (peer,) = known.complete((Neighbor("b", 0.2, 1.0),), 10.1)
+    (peer,) = known.complete((Neighbor("b", 0.2, 1.0),), None, 10.1)
     assert (peer.distance, peer.bearing) == (1.0, 0.2)
 
 
 def test_an_older_place_that_comes_late_replaces_no_newer_one() -> None:
     known = NeighborPlaces()
-    known.on_pose(SharedPose(10.0, Pose(), 0.1, 0.05, place(1.0, 0.0).frame), 10.0)
+    own = TimedPose(SharedPose(10.0, Pose(), 0.1, 0.05, place(1.0, 0.0).frame), 10.0)
     known.on_place(place(1.0, 0.0, age=0.05), 10.0)
     known.on_place(place(2.0, 0.0, age=0.9), 10.0)
-    (peer,) = known.complete((HEARD,), 10.0)
+    (peer,) = known.complete((HEARD,), own, 10.0)
     assert peer.distance == pytest.approx(1.0)
 
 

@@ -15,11 +15,13 @@ from swarmd.core.values import (
     Limits,
     Neighbor,
     PeerPlace,
+    Platform,
     Pose,
     SharedPose,
     Twist,
 )
 from swarmd.robot.message_limits import EVENT_BURST, EVENT_PERIOD
+from swarmd.robot.own_pose import OwnPose
 from swarmd.robot.peers import (
     ANGLE_ERROR,
     DISTANCE_ERROR,
@@ -39,14 +41,18 @@ BURGER, WAFFLE, JACKAL = (body_of(load_platform(n)) for n in ("burger", "waffle_
 ERROR = math.hypot(DISTANCE_ERROR + DISTANCE_SHARE * 2.0, ANGLE_ERROR * 2.0)  # at 2 m
 
 
+def peers_of(platform: Platform, accepts: Accepts = ACCEPTS_NONE) -> Peers:
+    return Peers(platform, accepts, OwnPose(platform.limits))
+
+
 def peers(name: str, bodies: dict[str, Body | None], accepts: Accepts = ACCEPTS_NONE) -> Peers:
-    made = Peers(load_platform(name), accepts)
+    made = peers_of(load_platform(name), accepts)
     made.on_peers(bodies)
     return made
 
 
 def test_a_peer_holds_until_it_is_forgotten() -> None:
-    robot = Peers(load_platform("jackal"), ACCEPTS_NONE)
+    robot = peers_of(load_platform("jackal"))
     assert not robot.holds(0.0)
     assert [found.robot for found in robot.on_peers({"b": BURGER, "j": JACKAL})] == ["b"]
     assert robot.holds(0.0)
@@ -106,7 +112,7 @@ def test_what_is_seen_or_far_is_not_told() -> None:
 def test_a_peer_farther_away_than_any_is_not_told(source: str) -> None:
     robot = peers("jackal", {"b": BURGER})
     for number in range(9):
-        robot.on_pose(SharedPose(0.1 * number, Pose(), 0.0, 0.0, "map"), None, 0.1 * number)
+        robot.own_pose.take(SharedPose(0.1 * number, Pose(), 0.0, 0.0, "map"), None, 0.1 * number)
 
     def tell(distance: float) -> None:
         if source == "sensed":
@@ -126,7 +132,7 @@ def located(robot: Peers, now: float, *, x: float, age: float) -> bool:
     """Tell the place of peer b ahead in a shared frame; the own pose is at its origin."""
     for number in range(9):
         at = now - 0.02 * (8 - number)
-        robot.on_pose(SharedPose(at, Pose(), 0.0, 0.0, "map"), Twist(), at)
+        robot.own_pose.take(SharedPose(at, Pose(), 0.0, 0.0, "map"), Twist(), at)
     return robot.on_place(PeerPlace("b", "map", x, 0.0, 0.0, age), now)
 
 
@@ -172,7 +178,7 @@ def test_the_distance_of_told_places_follows_from_the_speeds() -> None:
     crowd = under_barrier(fast, others_speed=1.2)
     seen = []
     for platform in (slow, fast, crowd):
-        robot = Peers(platform, ACCEPTS_NONE)
+        robot = peers_of(platform)
         robot.on_peers({"b": BURGER})
         within = 0.0
         for step in range(1, 400):
@@ -184,7 +190,7 @@ def test_the_distance_of_told_places_follows_from_the_speeds() -> None:
 
 
 def test_no_place_is_told_in_a_mode_that_uses_none() -> None:
-    robot = Peers(with_mode(load_platform("jackal"), "stop_zone"), ACCEPTS_NONE)
+    robot = peers_of(with_mode(load_platform("jackal"), "stop_zone"))
     robot.on_peers({"b": BURGER})
     robot.on_neighbors((Neighbor("b", 0.0, 0.5, 0.0),), 0.0)
     assert robot.told(0.0) == ()
@@ -217,7 +223,7 @@ def test_a_faster_peer_holds_although_it_is_told() -> None:
 
 
 def test_mode_off_promises_nothing_and_holds_for_nobody() -> None:
-    robot = Peers(with_mode(load_platform("jackal"), "off"), ACCEPTS_NONE)
+    robot = peers_of(with_mode(load_platform("jackal"), "off"))
     robot.on_peers({"b": BURGER})
     assert not robot.holds(0.0)
     assert [found.kind for found in robot.findings(0.0)] == ["unseen"]

@@ -11,7 +11,8 @@ from msgspec.structs import replace
 from swarmd.core.events import OdometryInput, PeersInput, PlaceInput, PoseInput
 from swarmd.core.messages import Body, Reason, State, Status
 from swarmd.core.values import Odometry, PeerPlace, Pose, SharedPose, Twist
-from swarmd.robot.peers import FASTEST_POSE, POSE_TIMEOUT, TOLD_TIMEOUT, Peers
+from swarmd.robot.own_pose import FASTEST_POSE, POSE_TIMEOUT, OwnPose
+from swarmd.robot.peers import TOLD_TIMEOUT, Peers
 from swarmd.robot.protection.compatibility import ACCEPTS_NONE, body_of
 from swarmd.robot.protection.fence.fence_settings import FenceSettings
 from swarmd.robot.sensors import Sensors
@@ -34,7 +35,8 @@ def place(x: float, y: float, *, age: float = 0.1, frame: str = "mocap") -> Peer
 
 
 def peers(bodies: dict[str, Body | None] | None = None, name: str = "jackal") -> Peers:
-    made = Peers(load_platform(name), ACCEPTS_NONE)
+    platform = load_platform(name)
+    made = Peers(platform, ACCEPTS_NONE, OwnPose(platform.limits))
     made.on_peers({"b": BURGER} if bodies is None else bodies)
     return made
 
@@ -43,7 +45,7 @@ def located(robot: Peers, pose: SharedPose, now: float, twist: Twist | None = RE
     """The robot after poses at 50 Hz, all without delay, up to `now`."""
     for number in range(9, -1, -1):
         at = now - 0.02 * number
-        robot.on_pose(replace(pose, stamp=at), twist, at)
+        robot.own_pose.take(replace(pose, stamp=at), twist, at)
     return robot
 
 
@@ -83,7 +85,7 @@ def test_the_unknown_part_of_the_own_delay_counts_with_the_own_motion() -> None:
 
 def test_a_delay_of_the_own_pose_counts_as_age() -> None:
     robot = located(peers(), shared(), 10.0)
-    robot.on_pose(shared(stamp=10.02), REST, 10.22)
+    robot.own_pose.take(shared(stamp=10.02), REST, 10.22)
     robot.on_place(place(2.0, 2.0), 10.22)
     assert robot.told(10.22)[0].age == pytest.approx(0.2 + HALF, abs=1e-3)
 
@@ -125,7 +127,7 @@ def test_other_frames_old_and_invalid_poses_and_strangers_tell_nothing(
 def test_a_pose_whose_stamp_stands_is_not_renewed() -> None:
     robot = located(peers(), shared(), 10.0)
     for number in range(100):
-        robot.on_pose(shared(stamp=10.0), REST, 10.0 + 0.02 * number)
+        robot.own_pose.take(shared(stamp=10.0), REST, 10.0 + 0.02 * number)
     assert robot.pose_to_tell(12.0) is None
     assert not robot.on_place(place(2.0, 2.0), 12.0)
 

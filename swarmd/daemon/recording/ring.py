@@ -1,6 +1,6 @@
-"""The ring of the black box: a file in memory with the last frames of one robot.
+"""The ring of the black box: a file in RAM with the last frames of one robot.
 
-The ring outlives its process, also one that was killed: the file is on a file system in memory.
+The ring outlives its process, also one that was killed: the file is on a file system in RAM.
 After a power cut nothing is left. A frame is a batch of entries, see `daemon/recording/frames.py`.
 
 The file has a header, then `capacity` bytes, which are written in a circle, then the texts on the
@@ -14,7 +14,7 @@ The ring writes the header before it writes over dropped bytes, and with the nex
 change of `revision` or of the clocks. So whole frames begin at `tail` at every instant.
 
 Frames are dropped in segments. A segment begins with the memory of the robot, so that a replay can
-begin there. The calls are `write`, not a mapping: if the memory of the file system is used up, a
+begin there. The calls are `write`, not a mapping: if the RAM of the file system is used up, a
 write fails, while a mapping would end the process.
 """
 
@@ -216,7 +216,7 @@ def begin_of(left: Left, at: float, folder: Path, name: str) -> Begin:
     return Begin(at, str(folder), name, left.about, wall, FileLimits(file_seconds=FOREVER))
 
 
-def memory_folder(given: str | None, environ: Mapping[str, str]) -> Path:
+def ring_folder(given: str | None, environ: Mapping[str, str]) -> Path:
     """The folder for this user's rings, made if it is absent; OSError if it is not safe.
 
     `given`, else systemd's `RuntimeDirectory`, else `/dev/shm/swarmd-<uid>`.

@@ -8,12 +8,11 @@ robot at the limit into a neighbor and back with each measurement.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import NamedTuple
 
 from msgspec import structs
 
-from swarmd.core.neighbor_places import NeighborPlaces
 from swarmd.core.values import Neighbor
 from swarmd.link.members.neighbor_settings import NeighborSettings
 
@@ -31,12 +30,18 @@ class Link(NamedTuple):
     signal: float | None = None
 
 
-class Neighborhood:
-    """The neighbors of one robot. All times are in s on its monotonic clock."""
+PlaceNeighbors = Callable[[tuple[Neighbor, ...], float], tuple[Neighbor, ...]]
 
-    def __init__(self, settings: NeighborSettings) -> None:
+
+class Neighborhood:
+    """The neighbors of one robot. All times are in s on its monotonic clock.
+
+    `place` gives robots the distances that follow from poses in a shared frame, at a time.
+    """
+
+    def __init__(self, settings: NeighborSettings, place: PlaceNeighbors) -> None:
         self.settings = settings
-        self.places = NeighborPlaces()  # by own and peers' poses, which the caller hands to it
+        self._place = place
         self._ids: frozenset[str] = frozenset()
 
     def select(
@@ -55,7 +60,7 @@ class Neighborhood:
         """
         if self.settings.neighborhood == "all":
             return tuple(candidates)
-        placed = self.places.complete(tuple(candidates), now)
+        placed = self._place(tuple(candidates), now)
         is_near = [self._is_near(candidate, links or {}) for candidate in placed]
         marked = [
             candidate if near else structs.replace(candidate, in_reach=False)

@@ -43,7 +43,7 @@ from msgspec.structs import astuple, replace
 from swarmd.core import cython_shadow as cython
 from swarmd.core.angles import PI, TURN, angle_between, wrap
 from swarmd.core.buffers import doubles, view
-from swarmd.core.cython_shadow import INFINITY, atan2, cos, fabs, isnan, rint, sin
+from swarmd.core.cython_shadow import INFINITY, Doubles, atan2, cos, fabs, isnan, rint, sin
 from swarmd.core.kin_message import MOST_OBJECTS, OBJECT, UNIT, KinMessage
 from swarmd.core.odometry_trail import ANEW, NEXT, OdometryTrail, is_jump
 from swarmd.core.values import Neighbor
@@ -56,98 +56,94 @@ if TYPE_CHECKING:
     from swarmd.core.values import Odometry, Scan
 
 # C names
-_MOST_NUMBER = cython.declare(cython.double, 1e12)  # m, rad or s in a message
-_unit = cython.declare(cython.double, UNIT)
-_object_size = cython.declare(cython.Py_ssize_t, OBJECT.size)
-_most_objects = cython.declare(cython.Py_ssize_t, MOST_OBJECTS)
-_HIGHEST = cython.declare(cython.longlong, 1 << 15)  # bit of a number of 16 bits, its sign
-_Neighbor = cython.declare(object, Neighbor)
-_KinMessage = cython.declare(object, KinMessage)
+_MOST_NUMBER = 1e12  # m, rad or s in a message
+_unit = UNIT
+_object_size = OBJECT.size
+_most_objects = MOST_OBJECTS
+_HIGHEST = 1 << 15  # bit of a number of 16 bits, its sign
+_Neighbor = Neighbor
+_KinMessage = KinMessage
 NO_ROBOT = ""
 """The name of a track that is no robot. None: unknown."""
-_MOST_PEERS = cython.declare(cython.Py_ssize_t, 24)
-_MOST_TRACKS = cython.declare(cython.Py_ssize_t, 24)
+_MOST_PEERS = 24
+_MOST_TRACKS = 24
 # directions, of each of which it is known how far the rays of a scan are free
-_SECTORS = cython.declare(cython.Py_ssize_t, 72)
+_SECTORS = 72
 # rad before the end of a sector, where rounding may count a bearing to the next
-_EDGE = cython.declare(cython.double, 1e-9)
+_EDGE = 1e-9
 _MOST_HYPOTHESES = 8  # of one peer
 # places of a track that are kept: 3 s at 5 Hz
-_MEMORY = cython.declare(cython.Py_ssize_t, 16)
+_MEMORY = 16
 # s between two messages, or two scans, between which a place is interpolated
-_MOST_GAP = cython.declare(cython.double, 1.5)
-_MOST_AHEAD = cython.declare(cython.double, 0.4)  # s for which a place is extrapolated
-_SILENCE = cython.declare(cython.double, 10.0)  # s after which a silent peer is forgotten
-_MOVING_PERIOD = cython.declare(cython.double, 0.2)  # s between two messages
-_RESTING_PERIOD = cython.declare(cython.double, 1.0)  # s, at rest
-_READING_PERIOD = cython.declare(cython.double, 0.09)  # s between two readings of odometry
-_EARLY = cython.declare(cython.double, 0.05)  # s by which a scan may come early
-_MOVED = cython.declare(cython.double, 0.01)  # m and rad that are a motion
-_COMPARED = cython.declare(cython.double, 0.55)  # s between two comparisons of a peer, at least
-_FEW = cython.declare(cython.double, 8.0)  # peers, of which each is compared so often
+_MOST_GAP = 1.5
+_MOST_AHEAD = 0.4  # s for which a place is extrapolated
+_SILENCE = 10.0  # s after which a silent peer is forgotten
+_MOVING_PERIOD = 0.2  # s between two messages
+_RESTING_PERIOD = 1.0  # s, at rest
+_READING_PERIOD = 0.09  # s between two readings of odometry
+_EARLY = 0.05  # s by which a scan may come early
+_MOVED = 0.01  # m and rad that are a motion
+_COMPARED = 0.55  # s between two comparisons of a peer, at least
+_FEW = 8.0  # peers, of which each is compared so often
 # s/s by which the least delay of messages is forgotten
-_DELAY_FORGOTTEN = cython.declare(cython.double, 0.01)
+_DELAY_FORGOTTEN = 0.01
 # Beginning of a pose.
 # m between both measured distances of a mutual sight
-_SAME_DISTANCE = cython.declare(cython.double, 0.10)
-_FIRST_SD = cython.declare(cython.double, 0.07)  # m
-_TURNED = cython.declare(cython.double, 0.4)  # rad: directions that differ less are one
+_SAME_DISTANCE = 0.10
+_FIRST_SD = 0.07  # m
+_TURNED = 0.4  # rad: directions that differ less are one
 # Scores.
-_EMPTY = cython.declare(cython.double, 5.0)  # 1/s, while rays cross the place of the peer
+_EMPTY = 5.0  # 1/s, while rays cross the place of the peer
 # 1/s, while the peer does not tell the own robot, or a third
-_UNSEEN = cython.declare(cython.double, 5.0)
-_DROPPED = cython.declare(cython.double, -3.0)  # score of a pose that is dropped
-_CONFIRMED = cython.declare(cython.double, 7.0)
+_UNSEEN = 5.0
+_DROPPED = -3.0  # score of a pose that is dropped
+_CONFIRMED = 7.0
 # with which a pose is sure: others begin no more, and poor ones are dropped
-_SURE = cython.declare(cython.double, 12.0)
-_MARGIN = cython.declare(cython.double, 4.0)  # to the next pose of the peer
-_UNSURE = cython.declare(cython.double, 1.0)  # margin below which no pose is confirmed any more
+_SURE = 12.0
+_MARGIN = 4.0  # to the next pose of the peer
+_UNSURE = 1.0  # margin below which no pose is confirmed any more
 # sights, and mutual sights, that a confirmed pose counts
-_LEAST_NEWS = cython.declare(cython.Py_ssize_t, 3)
+_LEAST_NEWS = 3
 # m, standard deviation beyond which a peer that comes back may be another object
-_LOST = cython.declare(cython.double, 0.15)
-_LEAST_EXTENT = cython.declare(cython.double, 0.4)  # m over which both robots have moved meanwhile
-_FADE = cython.declare(cython.double, 0.2)  # 1/s, while nothing shows the peer
-_REACH = cython.declare(cython.double, 2.2)  # m: what is not hidden is surely tracked
-_FREE_REACH = cython.declare(cython.double, 3.2)  # m within which a ray without a return is free
-_SEEN_MOST = cython.declare(cython.double, 0.25)  # m by which a ray passes a place it has crossed
+_LOST = 0.15
+_LEAST_EXTENT = 0.4  # m over which both robots have moved meanwhile
+_FADE = 0.2  # 1/s, while nothing shows the peer
+_REACH = 2.2  # m: what is not hidden is surely tracked
+_FREE_REACH = 3.2  # m within which a ray without a return is free
+_SEEN_MOST = 0.25  # m by which a ray passes a place it has crossed
 # m, the greatest distance of which it is asked whether rays are longer
-_LONGEST = cython.declare(cython.double, _FREE_REACH + _SEEN_MOST)
-_AGREED = cython.declare(cython.double, 1.8)  # m within which a peer surely tells a third robot
-_EARLIER = cython.declare(cython.double, 2.0)  # s: a peer confirmed so much earlier keeps a track
+_LONGEST = _FREE_REACH + _SEEN_MOST
+_AGREED = 1.8  # m within which a peer surely tells a third robot
+_EARLIER = 2.0  # s: a peer confirmed so much earlier keeps a track
 # Standing tracks.
-_STILL = cython.declare(cython.double, 0.12)  # m
-_STILL_TIME = cython.declare(cython.double, 2.0)  # s
-_OWN_WAY = cython.declare(cython.double, 0.3)  # m
-_CLEARED = cython.declare(cython.double, 0.25)  # m: a peer that moved so far is no standing track
-_ELSEWHERE = cython.declare(cython.double, 0.5)  # m
+_STILL = 0.12  # m
+_STILL_TIME = 2.0  # s
+_OWN_WAY = 0.3  # m
+_CLEARED = 0.25  # m: a peer that moved so far is no standing track
+_ELSEWHERE = 0.5  # m
 
 
-@cython.final
 @cython.cclass
 class _Track:
     """The path of one track, and the peers that it cannot be."""
 
-    id: cython.longlong
-    still_x: cython.double
-    still_y: cython.double
-    still_since: cython.double
-    still_way: cython.double
-    _places: cython.double[::1]  # a ring of times, x and y
-    _count: cython.Py_ssize_t  # of all places since the first
+    id: int
+    still_x: float
+    still_y: float
+    still_since: float
+    still_way: float
+    _places: Doubles  # a ring of times, x and y
+    _count: int  # of all places since the first
 
-    def __init__(self, id: cython.longlong) -> None:
+    def __init__(self, id: int) -> None:
         self.id = id
         self._places = doubles(3 * _MEMORY)
         self.still_x = INFINITY
 
-    @cython.cfunc
-    def add(
-        self, time: cython.double, x: cython.double, y: cython.double, own_way: cython.double
-    ) -> cython.int:
+    def add(self, time: float, x: float, y: float, own_way: float) -> None:
         """Add a place. `own_way`: m that the own robot has travelled."""
-        places: cython.double[::1] = self._places
-        i: cython.Py_ssize_t = 3 * (self._count % _MEMORY)
+        places = self._places
+        i = 3 * (self._count % _MEMORY)
         places[i] = time
         places[i + 1] = x
         places[i + 2] = y
@@ -158,31 +154,27 @@ class _Track:
             self.still_since = time
             self.still_way = own_way
 
-    @cython.cfunc
-    def is_other(self, peer: _Peer) -> cython.bint:
+    def is_other(self, peer: _Peer) -> bool:
         """True if the peer has moved while the track stood."""
         return peer.moved_since >= self.still_since
 
-    @cython.cfunc
-    def place_at(self, time: cython.double) -> tuple[cython.double, cython.double, cython.bint]:
+    def place_at(self, time: float) -> tuple[cython.double, cython.double, cython.bint]:
         """The place `x`, `y` at a time, and True; between two kept places it is interpolated.
 
         With False the nearest kept place: the track was not there any more, or not yet.
         """
-        places: cython.double[::1] = self._places
-        newer: cython.double = INFINITY
-        newer_x: cython.double = 0.0
-        newer_y: cython.double = 0.0
-        is_there: cython.bint
-        k: cython.Py_ssize_t
+        places = self._places
+        newer = INFINITY
+        newer_x = 0.0
+        newer_y = 0.0
         for k in range(1, min(self._count, _MEMORY) + 1):
-            i: cython.Py_ssize_t = 3 * ((self._count - k) % _MEMORY)
-            at: cython.double = places[i]
-            x: cython.double = places[i + 1]
-            y: cython.double = places[i + 2]
+            i = 3 * ((self._count - k) % _MEMORY)
+            at = places[i]
+            x = places[i + 1]
+            y = places[i + 2]
             if at <= time:
                 if newer < INFINITY:
-                    share: cython.double = (time - at) / (newer - at)
+                    share = (time - at) / (newer - at)
                     x += share * (newer_x - x)
                     y += share * (newer_y - y)
                 is_there = newer < INFINITY or time - at <= _MOST_AHEAD
@@ -194,45 +186,44 @@ class _Track:
         return newer_x, newer_y, is_there
 
 
-@cython.final
 @cython.cclass
 class _Peer:
     """What is known of one peer. `x`, `y`, `yaw`: what `expect` has found."""
 
     id: str
-    x: cython.double
-    y: cython.double
-    yaw: cython.double
+    x: float
+    y: float
+    yaw: float
     resets: int
-    stamp: cython.double  # s on the clock of the peer
-    delay: cython.double  # s, the least of arrival less stamp: between both clocks
-    heard_at: cython.double  # s, of the last message
-    time: cython.double  # s, of the pose in it
-    compared_at: cython.double  # s, of the last pose that was compared
-    told_x: cython.double
-    told_y: cython.double
-    told_yaw: cython.double
-    ahead: cython.double  # m/s, between the last two messages
-    left: cython.double
-    turn: cython.double  # rad/s
+    stamp: float  # s on the clock of the peer
+    delay: float  # s, the least of arrival less stamp: between both clocks
+    heard_at: float  # s, of the last message
+    time: float  # s, of the pose in it
+    compared_at: float  # s, of the last pose that was compared
+    told_x: float
+    told_y: float
+    told_yaw: float
+    ahead: float  # m/s, between the last two messages
+    left: float
+    turn: float  # rad/s
     # Where the peer was when it began the way that it now goes, and when; it has gone such a way in
     # the time from `moved_since` to the newest message.
-    began_x: cython.double
-    began_y: cython.double
-    began_at: cython.double
-    moved_since: cython.double
+    began_x: float
+    began_y: float
+    began_at: float
+    moved_since: float
     # The own pose at the time of the newest message.
-    own_x: cython.double
-    own_y: cython.double
-    own_yaw: cython.double
+    own_x: float
+    own_y: float
+    own_yaw: float
     hypotheses: list[Hypothesis]
     best: Hypothesis | None  # the confirmed pose
-    since: cython.double  # s, when it was confirmed
+    since: float  # s, when it was confirmed
     track: _Track | None  # that shows the peer in the last scan
-    row: cython.Py_ssize_t  # of the neighbors that `complete` took last
+    row: int  # of the neighbors that `complete` took last
     known: Neighbor | None  # what stood there
-    is_plain: cython.bint  # without a place of its own: distance, bearing and heading are None
-    in_reach: cython.bint  # of `known`
+    is_plain: bool  # without a place of its own: distance, bearing and heading are None
+    in_reach: bool  # of `known`
 
     def __init__(self, id: str) -> None:
         self.id = id
@@ -245,18 +236,16 @@ class _Peer:
         self.compared_at = -INFINITY
         self.delay = INFINITY
 
-    @cython.cfunc
-    def confirmed(self, now: cython.double) -> Hypothesis | None:
+    def confirmed(self, now: float) -> Hypothesis | None:
         """The pose that is confirmed of a peer that is not silent."""
         return self.best if now - self.heard_at <= _SILENCE else None
 
-    @cython.cfunc
-    def time_of(self, stamp: cython.double, now: cython.double) -> cython.double:
+    def time_of(self, stamp: float, now: float) -> float:
         """When the pose of a message was measured.
 
         The delay of messages varies: of all clock differences the least counts.
         """
-        delay: cython.double = now - stamp
+        delay = now - stamp
         if not fabs(delay - self.delay) < _MOST_GAP:  # the first, or a clock was set
             self.delay = delay
         else:
@@ -264,63 +253,59 @@ class _Peer:
         self.delay = min(self.delay, delay)
         return stamp + self.delay
 
-    @cython.cfunc
-    def follow(self) -> cython.int:
+    def follow(self) -> None:
         """Note that the peer has moved, once it has gone a way of _CLEARED; then begin another."""
-        way: cython.double = length(self.told_x - self.began_x, self.told_y - self.began_y)
+        way = length(self.told_x - self.began_x, self.told_y - self.began_y)
         if self.began_at == -INFINITY or way > _CLEARED:
             self.moved_since = self.began_at
             self.began_at = self.time
             self.began_x = self.told_x
             self.began_y = self.told_y
 
-    @cython.cfunc
-    def seconds_ahead(self, now: cython.double) -> cython.double:
+    def seconds_ahead(self, now: float) -> float:
         """The s from the newest message for which the pose moves on at the told speed."""
         return min(max(now - self.time, 0.0), _MOST_AHEAD)
 
-    @cython.cfunc
-    def expect(self, pose: Hypothesis, now: cython.double) -> cython.int:
+    def expect(self, pose: Hypothesis, now: float) -> None:
         """Set the pose to that of a hypothesis, moved on at the told speed."""
-        seconds: cython.double = self.seconds_ahead(now)
-        c: cython.double = cos(pose.yaw + 0.5 * self.turn * seconds)
-        s: cython.double = sin(pose.yaw + 0.5 * self.turn * seconds)
+        seconds = self.seconds_ahead(now)
+        c = cos(pose.yaw + 0.5 * self.turn * seconds)
+        s = sin(pose.yaw + 0.5 * self.turn * seconds)
         self.x = pose.x + (c * self.ahead - s * self.left) * seconds
         self.y = pose.y + (s * self.ahead + c * self.left) * seconds
         self.yaw = pose.yaw + self.turn * seconds
 
 
-@cython.final
 @cython.cclass
 class Kin:
     """Names the tracks of one robot. `_x`, `_y`, `_yaw`: the pose that `_set_own` has set."""
 
-    _middle: cython.double
-    _resets: cython.longlong
+    _middle: float
+    _resets: int
     _trail: OdometryTrail
-    _shift: cython.double  # s, of the odometry's clock less the robot's
-    _x: cython.double
-    _y: cython.double
-    _yaw: cython.double
-    _last_x: cython.double  # the own middle at the last scan
-    _last_y: cython.double
-    _way: cython.double  # m that it has travelled
+    _shift: float  # s, of the odometry's clock less the robot's
+    _x: float
+    _y: float
+    _yaw: float
+    _last_x: float  # the own middle at the last scan
+    _last_y: float
+    _way: float  # m that it has travelled
     _tracks: list[_Track]
     _scan: Scan | None  # the last scan if `_free` is not made of it yet
-    _seen_at: cython.double  # s, of the last scan
-    _free: cython.double[::1]  # of each direction from -pi on, m to the nearest return
+    _seen_at: float  # s, of the last scan
+    _free: Doubles  # of each direction from -pi on, m to the nearest return
     _peers: dict[str, _Peer]
     _heard: list[_Peer]  # the same peers in the same order, which loops read faster
-    _forgot_at: cython.double  # s, when silent peers were forgotten last
-    _told_at: cython.double  # s, of the last message, and the pose in it
-    _told_x: cython.double
-    _told_y: cython.double
-    _told_yaw: cython.double
+    _forgot_at: float  # s, when silent peers were forgotten last
+    _told_at: float  # s, of the last message, and the pose in it
+    _told_x: float
+    _told_y: float
+    _told_yaw: float
     # Points: of tracks at the time of a message, and of the objects in it, seen from the peer.
-    _places: cython.double[::1]
-    _objects: cython.double[::1]
+    _places: Doubles
+    _objects: Doubles
 
-    def __init__(self, middle: cython.double = 0.0, resets: cython.longlong = 0) -> None:
+    def __init__(self, middle: float = 0.0, resets: int = 0) -> None:
         """`middle`: m by which the middle of what others see lies ahead of the axle.
 
         `resets`: the first number that marks the frame of the odometry; another one in each life.
@@ -337,11 +322,11 @@ class Kin:
         self._places = doubles(POINT * _MOST_TRACKS)
         self._objects = doubles(POINT * _most_objects)
 
-    def on_odometry(self, odometry: Odometry, now: cython.double) -> None:
+    def on_odometry(self, odometry: Odometry, now: float) -> None:
         """Take in an own reading, ten a second. A jump moves the frame: all is forgotten."""
         if 0.0 < odometry.stamp - self._trail.latest < _READING_PERIOD:
             return
-        taken: cython.int = self._trail.take(odometry)
+        taken = self._trail.take(odometry)
         if taken != NEXT and taken != ANEW:
             return
         peer: _Peer
@@ -353,7 +338,7 @@ class Kin:
                 peer.best = None
         self._shift = odometry.stamp - now
 
-    def observe(self, tracks: Iterable[Any], scan: Scan, now: cython.double) -> None:
+    def observe(self, tracks: Iterable[Any], scan: Scan, now: float) -> None:
         """Take in a scan, and the tracks after it: `id`, `x` and `y` in the base frame at `now`."""
         if self._trail.count == 0:
             return
@@ -361,22 +346,22 @@ class Kin:
         self._way += length(self._x - self._last_x, self._y - self._last_y)
         self._last_x = self._x
         self._last_y = self._y
-        c: cython.double = cos(self._yaw)
-        s: cython.double = sin(self._yaw)
+        c = cos(self._yaw)
+        s = sin(self._yaw)
         known = self._tracks
         self._tracks = []
         track: _Track
         for seen in tracks:
             if len(self._tracks) == _MOST_TRACKS:
                 break
-            id: cython.longlong = seen.id
+            id = seen.id
             for track in known:
                 if track.id == id:
                     break
             else:
                 track = _Track(id)
-            x: cython.double = seen.x
-            y: cython.double = seen.y
+            x = seen.x
+            y = seen.y
             x -= self._middle
             track.add(now, self._x + c * x - s * y, self._y + s * x + c * y, self._way)
             self._tracks.append(track)
@@ -384,28 +369,26 @@ class Kin:
         self._scan = scan
         self._match(now)
 
-    @cython.cfunc
-    def _is_free(self, bearing: cython.double, distance: cython.double) -> cython.bint:
+    def _is_free(self, bearing: float, distance: float) -> bool:
         """True if the rays of the last scan in a direction are longer than a distance.
 
         `distance`: at most _LONGEST m.
         """
-        free: cython.double[::1] = self._free
+        free = self._free
         if self._scan is not None:
-            ranges: cython.const_double[::1] = view(self._scan.ranges)
-            bearings: cython.const_double[::1] = view(self._scan.bearings)
+            ranges: Doubles = view(self._scan.ranges)
+            bearings: Doubles = view(self._scan.bearings)
             self._scan = None
-            i: cython.Py_ssize_t
             for i in range(_SECTORS):
                 free[i] = INFINITY
-            sector: cython.Py_ssize_t = 0
-            least: cython.double = INFINITY  # bearings from here on, and below `most`, are in it
-            most: cython.double = -INFINITY
+            sector = 0
+            least = INFINITY  # bearings from here on, and below `most`, are in it
+            most = -INFINITY
             for i in range(len(ranges)):
-                distance_of_ray: cython.double = ranges[i]
+                distance_of_ray = ranges[i]
                 if distance_of_ray > _LONGEST:
                     continue
-                ray: cython.double = bearings[i]
+                ray = bearings[i]
                 if not least <= ray < most:
                     sector = _sector_of(ray)
                     # Of a bearing beyond half a turn the next may be in another sector.
@@ -416,7 +399,7 @@ class Kin:
                     free[sector] = 0.0 if isnan(distance_of_ray) else distance_of_ray
         return free[_sector_of(bearing)] > distance
 
-    def next_message(self, now: cython.double, asks: cython.bint) -> KinMessage | None:
+    def next_message(self, now: float, asks: bool) -> KinMessage | None:
         """The message of this robot, after `observe`; None if it is not due yet.
 
         `asks`: this robot runs a pattern that needs the places of its peers.
@@ -426,39 +409,36 @@ class Kin:
         self._set_own(now)
         if not fabs(self._x) + fabs(self._y) + fabs(self._yaw) < _MOST_NUMBER:
             return None
-        moved: cython.double = length(self._x - self._told_x, self._y - self._told_y)
+        moved = length(self._x - self._told_x, self._y - self._told_y)
         moved += angle_between(self._yaw, self._told_yaw)
-        period: cython.double = _MOVING_PERIOD if moved > _MOVED else _RESTING_PERIOD
+        period = _MOVING_PERIOD if moved > _MOVED else _RESTING_PERIOD
         if now - self._told_at < period - _EARLY:
             return None
         self._told_at = now
         self._told_x = self._x
         self._told_y = self._y
         self._told_yaw = self._yaw
-        points: cython.double[::1] = self._places
-        i: cython.Py_ssize_t
-        k: cython.Py_ssize_t
-        count: cython.Py_ssize_t = 0
+        points = self._places
+        count = 0
         track: _Track
         for track in self._tracks:
             x, y, _ = track.place_at(now)
-            dx: cython.double = x - self._x
-            dy: cython.double = y - self._y
+            dx = x - self._x
+            dy = y - self._y
             points[count] = length(dx, dy)
             points[count + 1] = wrap(atan2(dy, dx) - self._yaw)
             count += 2
-        most: cython.Py_ssize_t = min(count // 2, _most_objects)
+        most = min(count // 2, _most_objects)
         objects = bytearray(_object_size * most)
-        n: cython.Py_ssize_t
         for n in range(most):
             k = 0
             for i in range(2, count, 2):
                 if points[i] < points[k]:
                     k = i
             # As OBJECT packs them, which takes five times as long.
-            distance: cython.longlong = min(_units(points[k]), 0xFFFF)
-            bearing: cython.longlong = _units(points[k + 1])
-            start: cython.Py_ssize_t = _object_size * n
+            distance = min(_units(points[k]), 0xFFFF)
+            bearing = _units(points[k + 1])
+            start = _object_size * n
             objects[start] = distance >> 8
             objects[start + 1] = distance & 0xFF
             objects[start + 2] = (bearing >> 8) & 0xFF
@@ -474,8 +454,7 @@ class Kin:
             asks != 0,
         )
 
-    @cython.ccall
-    def on_message(self, id: str, message: KinMessage, now: cython.double) -> None:
+    def on_message(self, id: str, message: KinMessage, now: float) -> None:
         """Take in the message of the peer `id`."""
         if self._trail.count == 0:
             return
@@ -489,34 +468,34 @@ class Kin:
             self._peers[id] = peer
             self._heard.append(peer)
         # Of a crowd each peer is compared less often, so that kin takes no longer.
-        period: cython.double = _COMPARED * max(1.0, len(self._peers) / _FEW)
+        period = _COMPARED * max(1.0, len(self._peers) / _FEW)
         # Only comparisons use the poses of a peer if none is confirmed.
         if now - peer.heard_at < period and peer.best is None:
             return
         # All fields in one call, which takes as long as two of them each by itself. Integers of
         # Python become doubles six times faster by way of integers of C.
         resets, told_stamp, told_x, told_y, told_yaw, told_objects, _ = astuple(message)
-        stamp_ms: cython.longlong = told_stamp
-        x_mm: cython.longlong = told_x
-        y_mm: cython.longlong = told_y
-        yaw_mrad: cython.longlong = told_yaw
-        stamp: cython.double = stamp_ms * _unit
-        x: cython.double = x_mm * _unit
-        y: cython.double = y_mm * _unit
-        yaw: cython.double = yaw_mrad * _unit
-        gap: cython.double = stamp - peer.stamp
+        stamp_ms = told_stamp
+        x_mm = told_x
+        y_mm = told_y
+        yaw_mrad = told_yaw
+        stamp = stamp_ms * _unit
+        x = x_mm * _unit
+        y = y_mm * _unit
+        yaw = yaw_mrad * _unit
+        gap = stamp - peer.stamp
         if -_MOST_GAP < gap <= 0.0:  # late, or twice
             return
-        time: cython.double = peer.time_of(stamp, now)
+        time = peer.time_of(stamp, now)
         self._set_own(time)
-        dx: cython.double = x - peer.told_x
-        dy: cython.double = y - peer.told_y
-        turn: cython.double = wrap(yaw - peer.told_yaw)
+        dx = x - peer.told_x
+        dy = y - peer.told_y
+        turn = wrap(yaw - peer.told_yaw)
         if resets == peer.resets and 0.0 < gap < _SILENCE and not is_jump(dx, dy, turn, gap):
-            c: cython.double = cos(peer.told_yaw)
-            s: cython.double = sin(peer.told_yaw)
-            ahead: cython.double = c * dx + s * dy
-            left: cython.double = c * dy - s * dx
+            c = cos(peer.told_yaw)
+            s = sin(peer.told_yaw)
+            ahead = c * dx + s * dy
+            left = c * dy - s * dx
             self._move(peer, ahead, left, turn)
             peer.ahead = ahead / gap
             peer.left = left / gap
@@ -545,13 +524,13 @@ class Kin:
             peer.compared_at = time
 
     @staticmethod
-    def on_message_many(kins: list[Kin], id: str, message: KinMessage, now: cython.double) -> None:
+    def on_message_many(kins: list[Kin], id: str, message: KinMessage, now: float) -> None:
         """Hand the message of a peer to each of the robots that hear it at one time."""
         kin: Kin
         for kin in kins:
             kin.on_message(id, message, now)
 
-    def names(self, now: cython.double) -> dict[int, str | None]:
+    def names(self, now: float) -> dict[int, str | None]:
         """The name of each track: the id of a peer, NO_ROBOT, or None if it is not known."""
         named: dict[int, str] = {}
         peer: _Peer
@@ -566,7 +545,7 @@ class Kin:
             )
         return found
 
-    def complete(self, neighbors: tuple[Neighbor, ...], now: cython.double) -> tuple[Neighbor, ...]:
+    def complete(self, neighbors: tuple[Neighbor, ...], now: float) -> tuple[Neighbor, ...]:
         """The neighbors; those whose pose is confirmed with what is not known of them otherwise.
 
         Distance and bearing are from the own axle to the visible middle of the peer. `age`: s since
@@ -575,7 +554,7 @@ class Kin:
         """
         self._trail.set_pose(now + self._shift)
         completed: list[Neighbor] = list(neighbors)
-        count: cython.Py_ssize_t = len(completed)
+        count = len(completed)
         peer: _Peer
         for peer in self._heard:
             best: Hypothesis | None = peer.confirmed(now)
@@ -587,10 +566,9 @@ class Kin:
                 completed[peer.row] = self._completed(completed[peer.row], peer, best, now)
         return tuple(completed)
 
-    @cython.cfunc
-    def _find_row(self, peer: _Peer, neighbors: list[Neighbor]) -> cython.int:
+    def _find_row(self, peer: _Peer, neighbors: list[Neighbor]) -> None:
         """Find a peer among the neighbors; mostly the same neighbor is asked for many times."""
-        count: cython.Py_ssize_t = len(neighbors)
+        count = len(neighbors)
         if peer.row >= count or neighbors[peer.row].id != peer.id:
             ids = [one.id for one in neighbors]
             peer.row = ids.index(peer.id) if peer.id in ids else count
@@ -601,24 +579,20 @@ class Kin:
             peer.is_plain = (
                 known.distance is None and known.bearing is None and known.heading is None
             )
-        return 0
 
-    @cython.cfunc
-    def _completed(
-        self, known: Neighbor, peer: _Peer, best: Hypothesis, now: cython.double
-    ) -> Neighbor:
-        seen_at: cython.double = best.seen_at
-        yaw: cython.double = best.yaw + peer.turn * peer.seconds_ahead(now)
+    def _completed(self, known: Neighbor, peer: _Peer, best: Hypothesis, now: float) -> Neighbor:
+        seen_at = best.seen_at
+        yaw = best.yaw + peer.turn * peer.seconds_ahead(now)
         track: _Track | None = peer.track
-        is_there: cython.bint = False
+        is_there = False
         if track is not None:
             peer.x, peer.y, is_there = track.place_at(self._seen_at)
         if is_there:
             seen_at = self._seen_at
         else:
             peer.expect(best, now)
-        dx: cython.double = peer.x - self._trail.x
-        dy: cython.double = peer.y - self._trail.y
+        dx = peer.x - self._trail.x
+        dy = peer.y - self._trail.y
         bearing = None if peer.is_plain else known.bearing
         heading = None if peer.is_plain else known.heading
         if bearing is None:
@@ -627,12 +601,11 @@ class Kin:
             heading = wrap(yaw - self._trail.yaw)
         if not peer.is_plain and known.distance is not None:
             return replace(known, bearing=bearing, heading=heading)
-        age: cython.double = max(now - seen_at, 0.0)
-        error: cython.double = 2.0 * best.sd()
+        age = max(now - seen_at, 0.0)
+        error = 2.0 * best.sd()
         return _Neighbor(peer.id, age, length(dx, dy), bearing, heading, peer.in_reach, error)
 
-    @cython.cfunc
-    def _set_own(self, time: cython.double) -> cython.int:
+    def _set_own(self, time: float) -> None:
         """Set the pose of the own visible middle at a time."""
         trail: OdometryTrail = self._trail
         trail.set_pose(time + self._shift)
@@ -640,8 +613,7 @@ class Kin:
         self._y = trail.y + self._middle * sin(trail.yaw)
         self._yaw = trail.yaw
 
-    @cython.cfunc
-    def _forget_silent(self, now: cython.double) -> cython.int:
+    def _forget_silent(self, now: float) -> None:
         self._forgot_at = now
         peer: _Peer
         heard = self._heard
@@ -652,32 +624,26 @@ class Kin:
             else:
                 self._heard.append(peer)
 
-    @cython.cfunc
-    def _move(
-        self, peer: _Peer, ahead: cython.double, left: cython.double, turn: cython.double
-    ) -> cython.int:
+    def _move(self, peer: _Peer, ahead: float, left: float, turn: float) -> None:
         """Move the poses of a peer by what it tells, and widen them by the own motion."""
-        own_way: cython.double = length(self._x - peer.own_x, self._y - peer.own_y)
-        own_turn: cython.double = angle_between(self._yaw, peer.own_yaw)
+        own_way = length(self._x - peer.own_x, self._y - peer.own_y)
+        own_turn = angle_between(self._yaw, peer.own_yaw)
         one: Hypothesis
         for one in peer.hypotheses:
             one.move(ahead, left, turn)
             one.drift(own_way, own_turn, length(one.x - self._x, one.y - self._y))
 
-    @cython.cfunc
-    def _compare(self, packed: bytes, peer: _Peer, gap: cython.double) -> cython.int:
+    def _compare(self, packed: bytes, peer: _Peer, gap: float) -> None:
         """Compare the poses of a peer with the tracks, and with what it tells; begin new poses.
 
         `packed`: the objects of the message.
         """
-        places: cython.double[::1] = self._places
-        objects: cython.double[::1] = self._objects
+        places = self._places
+        objects = self._objects
         track: _Track
         one: Hypothesis
-        i: cython.Py_ssize_t = 0
-        k: cython.Py_ssize_t = 0
-        m: cython.Py_ssize_t
-        n: cython.Py_ssize_t
+        i = 0
+        k = 0
         for track in self._tracks:
             if track.is_other(peer):
                 continue
@@ -690,54 +656,46 @@ class Kin:
         for n in range(len(packed) // _object_size):
             # As OBJECT unpacks them, which takes five times as long.
             m = _object_size * n
-            distance_mm: cython.longlong = (packed[m] << 8) + packed[m + 1]
-            bearing_mrad: cython.longlong = (packed[m + 2] << 8) + packed[m + 3]
+            distance_mm = (packed[m] << 8) + packed[m + 1]
+            bearing_mrad = (packed[m + 2] << 8) + packed[m + 3]
             if bearing_mrad >= _HIGHEST:
                 bearing_mrad -= 2 * _HIGHEST
-            distance: cython.double = _unit * distance_mm
-            bearing: cython.double = _unit * bearing_mrad
+            distance = _unit * distance_mm
+            bearing = _unit * bearing_mrad
             objects[k] = distance * cos(bearing)
             objects[k + 1] = distance * sin(bearing)
             objects[k + 2] = distance
             k += POINT
-        count: cython.Py_ssize_t = i // POINT
-        told_count: cython.Py_ssize_t = k // POINT
+        count = i // POINT
+        told_count = k // POINT
         for one in peer.hypotheses:
             self._judge(one, peer, gap, count, told_count)
-        is_sure: cython.bint = peer.best is not None and peer.best.score > _SURE
+        is_sure = peer.best is not None and peer.best.score > _SURE
         for n in range(0 if is_sure else count):
             i = POINT * n
             for m in range(told_count):
                 k = POINT * m
                 if fabs(objects[k + 2] - places[i + 2]) <= _SAME_DISTANCE:
-                    to_own: cython.double = atan2(self._y - places[i + 1], self._x - places[i])
-                    yaw: cython.double = to_own - atan2(objects[k + 1], objects[k])
+                    to_own = atan2(self._y - places[i + 1], self._x - places[i])
+                    yaw = to_own - atan2(objects[k + 1], objects[k])
                     self._begin(peer, places[i], places[i + 1], yaw, max(places[i + 2], 0.3))
         self._rank(peer)
         self._agree(peer, gap, told_count)
 
-    @cython.cfunc
-    def _judge(
-        self,
-        one: Hypothesis,
-        peer: _Peer,
-        gap: cython.double,
-        count: cython.Py_ssize_t,
-        told_count: cython.Py_ssize_t,
-    ) -> cython.int:
+    def _judge(self, one: Hypothesis, peer: _Peer, gap: float, count: int, told_count: int) -> None:
         """Raise or lower the score of a pose by what both robots see."""
-        dx: cython.double = one.x - self._x
-        dy: cython.double = one.y - self._y
-        distance: cython.double = length(dx, dy)
-        is_news: cython.bint = one.sights.is_news(peer.told_x, peer.told_y)
-        is_lost: cython.bint = one.sd() > _LOST
+        dx = one.x - self._x
+        dy = one.y - self._y
+        distance = length(dx, dy)
+        is_news = one.sights.is_news(peer.told_x, peer.told_y)
+        is_lost = one.sd() > _LOST
         if not one.see(self._places, count, distance, is_news):
             # The rays of the last scan cross the place of the pose.
-            is_empty: cython.bint = distance < _FREE_REACH and self._is_free(
+            is_empty = distance < _FREE_REACH and self._is_free(
                 atan2(dy, dx) - self._yaw, distance + _SEEN_MOST
             )
             one.score -= gap * (_EMPTY if is_empty else _FADE)
-            return 0
+            return
         if is_lost:
             if one is peer.best:
                 peer.best = None
@@ -750,48 +708,37 @@ class Kin:
             one.score -= gap * (_UNSEEN if distance < _REACH else _FADE)
         elif is_news:
             one.mutual.add(self._x, self._y)
-        return 0
 
-    @cython.cfunc
-    def _begin(
-        self,
-        peer: _Peer,
-        x: cython.double,
-        y: cython.double,
-        yaw: cython.double,
-        distance: cython.double,
-    ) -> cython.int:
+    def _begin(self, peer: _Peer, x: float, y: float, yaw: float, distance: float) -> None:
         """Begin a pose by mutual sight, unless it is known, or all that are known are better."""
         one: Hypothesis
         for one in peer.hypotheses:
             if one.is_like(x, y, yaw, 1.0):
-                return 0
+                return
         if len(peer.hypotheses) >= _MOST_HYPOTHESES:
             worst: Hypothesis = peer.hypotheses[0]
             for one in peer.hypotheses:
                 if one.score < worst.score:
                     worst = one
             if worst.score >= 0.0:
-                return 0
+                return
             peer.hypotheses.remove(worst)
         one = begun(x, y, yaw, _FIRST_SD, _FIRST_SD / distance)
         one.prove(peer.told_x, peer.told_y, self._x, self._y)
         peer.hypotheses.append(one)
-        return 0
 
-    @cython.cfunc
-    def _rank(self, peer: _Peer) -> cython.int:
+    def _rank(self, peer: _Peer) -> None:
         """Drop bad and double poses, and confirm the best if it is sure."""
         if not peer.hypotheses:
-            return 0
+            return
         one: Hypothesis
         best: Hypothesis = peer.hypotheses[0]
         for one in peer.hypotheses:
             if one.score > best.score:
                 best = one
-        second: cython.double = -INFINITY
-        is_sure: cython.bint = best is peer.best and best.score > _SURE
-        least: cython.double = best.score - _SURE if is_sure else _DROPPED
+        second = -INFINITY
+        is_sure = best is peer.best and best.score > _SURE
+        least = best.score - _SURE if is_sure else _DROPPED
         kept: list[Hypothesis] = []
         for one in peer.hypotheses:
             if one is not best:
@@ -813,10 +760,8 @@ class Kin:
         ):
             peer.best = best
             peer.since = peer.time
-        return 0
 
-    @cython.cfunc
-    def _agree(self, peer: _Peer, gap: cython.double, told_count: cython.Py_ssize_t) -> cython.int:
+    def _agree(self, peer: _Peer, gap: float, told_count: int) -> None:
         """Lower the pose of a peer that does not tell a third robot which it must see.
 
         Of the two poses the worse may be wrong. A peer lowers its own pose alone, and the third
@@ -824,9 +769,9 @@ class Kin:
         """
         best: Hypothesis | None = peer.best
         if best is None or told_count == _most_objects:
-            return 0
-        c: cython.double = cos(best.yaw)
-        s: cython.double = sin(best.yaw)
+            return
+        c = cos(best.yaw)
+        s = sin(best.yaw)
         other: _Peer
         for other in self._heard:
             third: Hypothesis | None = other.confirmed(peer.heard_at)
@@ -835,37 +780,28 @@ class Kin:
             if peer.heard_at - other.heard_at > _MOST_GAP:  # it may be elsewhere by now
                 continue
             other.expect(third, peer.time)
-            dx: cython.double = other.x - best.x
-            dy: cython.double = other.y - best.y
-            ahead: cython.double = c * dx + s * dy
-            left: cython.double = c * dy - s * dx
+            dx = other.x - best.x
+            dy = other.y - best.y
+            ahead = c * dx + s * dy
+            left = c * dy - s * dx
             # Two that are nearer claim one object: their messages need not tell each other.
-            is_due: cython.bint = _ELSEWHERE <= length(dx, dy) < _AGREED
+            is_due = _ELSEWHERE <= length(dx, dy) < _AGREED
             if is_due and not self._is_told(ahead, left, told_count):
                 best.score -= gap * _UNSEEN
-        return 0
 
-    @cython.cfunc
-    def _is_told(
-        self, ahead: cython.double, left: cython.double, told_count: cython.Py_ssize_t
-    ) -> cython.bint:
+    def _is_told(self, ahead: float, left: float, told_count: int) -> bool:
         """True if an object of the last message is at a place or hides it."""
-        objects: cython.double[::1] = self._objects
-        i: cython.Py_ssize_t
-        k: cython.Py_ssize_t
+        objects = self._objects
         for k in range(told_count):
             i = POINT * k
             if length(objects[i] - ahead, objects[i + 1] - left) < _ELSEWHERE:
                 return True
-            turn: cython.double = angle_between(
-                atan2(objects[i + 1], objects[i]), atan2(left, ahead)
-            )
+            turn = angle_between(atan2(objects[i + 1], objects[i]), atan2(left, ahead))
             if objects[i + 2] < length(ahead, left) and turn < _TURNED:
                 return True
         return False
 
-    @cython.cfunc
-    def _match(self, now: cython.double) -> cython.int:
+    def _match(self, now: float) -> None:
         """Set the track of each peer that the last scan shows."""
         claims: list[tuple[float, str, int, _Peer, _Track]] = []
         peer: _Peer
@@ -879,7 +815,7 @@ class Kin:
             peer.expect(best, now)
             for track in self._tracks:
                 x, y, _ = track.place_at(self._seen_at)
-                far: cython.double = best.fits(x - peer.x, y - peer.y)
+                far = best.fits(x - peer.x, y - peer.y)
                 if far < INFINITY and not track.is_other(peer):
                     claims.append((far, peer.id, track.id, peer, track))
         claims.sort()
@@ -891,16 +827,14 @@ class Kin:
         for _, _, number, peer, track in claims:  # a peer without a track contests another's
             other = taken.get(number, peer)
             if peer.track is None and other is not peer:
-                later: cython.double = peer.since - other.since
+                later = peer.since - other.since
                 if later < _EARLIER:
                     other.track = None
                 if later < -_EARLIER:
                     peer.track = track
                     taken[number] = peer
-        return 0
 
-    @cython.cfunc
-    def _stands(self, track: _Track, now: cython.double) -> cython.bint:
+    def _stands(self, track: _Track, now: float) -> bool:
         """True if a track stands while the own robot moves, and no peer can be there."""
         if now - track.still_since < _STILL_TIME or self._way - track.still_way < _OWN_WAY:
             return False
@@ -916,19 +850,13 @@ class Kin:
         return True
 
 
-@cython.cfunc
-@cython.inline
-@cython.exceptval(check=False)
-def _sector_of(bearing: cython.double) -> cython.Py_ssize_t:
+def _sector_of(bearing: float) -> int:
     """The number of a direction."""
-    sector: cython.double = (wrap(bearing) / TURN + 0.5) * _SECTORS
+    sector = (wrap(bearing) / TURN + 0.5) * _SECTORS
     return cython.cast(cython.Py_ssize_t, min(_SECTORS - 0.5, sector))  # also of NaN
 
 
-@cython.cfunc
-@cython.inline
-@cython.exceptval(check=False)
-def _units(number: cython.double) -> cython.longlong:
+def _units(number: float) -> int:
     """A number of m, rad or s as in a message; 0 if it is too great, or none."""
-    is_small: cython.bint = fabs(number) < _MOST_NUMBER
+    is_small = fabs(number) < _MOST_NUMBER
     return cython.cast(cython.longlong, rint((number if is_small else 0.0) / _unit))

@@ -42,7 +42,7 @@ from swarmd.core.values import (
     Twist,
 )
 from swarmd.robot.protection.barrier_assumptions import OTHER, Assumptions
-from swarmd.robot.protection.blind_zone import BlindZoneMemory
+from swarmd.robot.protection.blind_zone import HiddenObstacles
 from swarmd.robot.protection.closing_speed import CREEP_SPEED
 from swarmd.robot.protection.comparisons import maximum
 from swarmd.robot.protection.constraints import ConstraintRows, Constraints, SpeedAxes, linear_limit
@@ -78,7 +78,7 @@ class Barrier:
     _limits: Limits
     _scan: ScanSpec
     # Cython sets an attribute without a value to None, and so does CPython (cython_shadow.py).
-    _hidden: BlindZoneMemory | None  # None if the lidar reports near returns
+    _hidden: HiddenObstacles | None  # None if the lidar reports near returns
     _walls: StandingWalls | None  # None: walls are not assumed to stand
     _feasible: FeasibleSet
     _projection: Projection
@@ -102,11 +102,11 @@ class Barrier:
         settings = msgspec.convert(given, BarrierSettings)
         self._limits = platform.limits
         self._scan = platform.scan
-        # Returns nearer than range_min are lost, as if nothing were there: a memory keeps them.
+        # Returns nearer than range_min are lost, as if nothing were there: their places are kept.
         if platform.scan.near == "lost" and platform.scan.range_min > 0.0:
             base_speed = math.hypot(platform.limits.linear, platform.limits.lateral)  # m/s at most
             approach_speed = settings.others_speed + base_speed
-            self._hidden = BlindZoneMemory(
+            self._hidden = HiddenObstacles(
                 platform.scan.range_min, approach_speed, 1.0 / platform.scan.rate
             )
         assumptions = Assumptions(platform, settings)
@@ -173,7 +173,7 @@ class Barrier:
         scan before, only `min_gap` is set, and the obstacles of the scan before stay: odometry
         moves these obstacles on, but does not move remembered rays.
 
-        `geometry` is the mounting of the lidar, for the memory of the blind zone. `context` has the
+        `geometry` is the mounting of the lidar, for the hidden obstacles. `context` has the
         time, the age of the scan, and odometry.
         """
         motion: ScanMotion = self._feasible.motion
@@ -200,12 +200,12 @@ class Barrier:
 
         # 3. Obstacles in the blind zone, and near returns.
         hidden = NO_ROWS
-        memory = self._hidden
-        if memory is not None:
+        obstacles = self._hidden
+        if obstacles is not None:
             moved = Pose(motion.moved.x, motion.moved.y, motion.moved.yaw)
-            memory.update(scan, geometry, moved, motion.driven(), motion.seconds)
-            if len(memory.bearings):
-                hidden = view(_rays_and_ranges(memory.bearings, memory.nearest))
+            obstacles.update(scan, geometry, moved, motion.driven(), motion.seconds)
+            if len(obstacles.bearings):
+                hidden = view(_rays_and_ranges(obstacles.bearings, obstacles.nearest))
         filled = NO_NUMBERS if scan.filled is None else view(scan.filled)
         near.take_scan(ranges, scan.range_min, ages, filled, scan.borrowed, hidden)
         self._feasible.situation.is_known = False

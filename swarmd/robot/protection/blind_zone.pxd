@@ -2,7 +2,7 @@
 
 cimport cython
 
-cdef double _NARROW_MEMORY, _DOUBTFUL, _FORGET_DISTANCE, _RANGE_NOISE, _MIN_HIDDEN_RANGE, _MAX_SHIFT
+cdef double _NARROW_TIME, _DOUBTFUL, _FORGET_DISTANCE, _RANGE_NOISE, _MIN_HIDDEN_RANGE, _MAX_SHIFT
 cdef double _SHAPE_CHANGE
 cdef Py_ssize_t _MAX_POINTS, _MIN_EMPTY_RUN
 cdef double _MIN_WIDTH, _MIN_EMERGED, _MAX_SECTOR, _MAX_FACE
@@ -38,7 +38,7 @@ cdef bint _crosses_rim(
 @cython.locals(first=cython.Py_ssize_t, i=cython.Py_ssize_t, k=cython.Py_ssize_t)
 cdef int _turn_rays(double[::1] bearings, Py_ssize_t count, double turned, double[::1] rising)
 
-cdef class BlindZoneMemory:
+cdef class HiddenObstacles:
     cdef readonly object bearings, nearest
     cdef double _radius, _speed, _period, _narrowest_sector
     cdef Py_ssize_t _ray_count, _reserved

@@ -1,9 +1,9 @@
-"""Memory of obstacles in the blind zone of a sensor that reports nothing closer than range_min.
+"""Obstacles hidden in the blind zone of a sensor that reports nothing closer than range_min.
 
 The blind zone is the circle of range_min around the sensor; its border is the rim. A ray with a
 return proves that the part of the ray inside the zone is free. An empty ray (without a return) may
 end at an obstacle inside the zone, or see nothing. An empty sector is a run of empty rays.
-`BlindZoneMemory` works by these rules:
+`HiddenObstacles` works by these rules:
 
 1. An obstacle becomes hidden if it was near the rim, may have crossed it since, has no return near
    its place any more, and the rays there are empty. A hidden obstacle then approaches at the
@@ -16,8 +16,8 @@ end at an obstacle inside the zone, or see nothing. An empty sector is a run of 
 3. A hidden obstacle moves with its empty sector, and fills a sector that is not too wide.
 4. A hidden obstacle is forgotten once returns show its place free, once it reappears, or once the
    robot has moved away by its own commands. Motion without commands does not count, since an
-   obstacle that pushes the robot moves with it. Without these exits the memory would hold the robot
-   for ever. There is no expiry by time (except by rule 5, and in a sector too narrow for a robot),
+   obstacle that pushes the robot moves with it. Without these exits it would hold the robot for
+   ever. There is no expiry by time (except by rule 5, and in a sector too narrow for a robot),
    since a robot may be held in contact for minutes.
 5. An obstacle has reappeared once more of it came into view beside the rim than noise can show. The
    hidden obstacles near that place are forgotten. Hidden obstacles farther away, which may have
@@ -52,7 +52,7 @@ from swarmd.core.values import Array, Pose, Scan
 from swarmd.robot.protection.footprint import ScanGeometry
 
 # s for which an empty sector too narrow for a robot, and a doubtful obstacle, are remembered
-_NARROW_MEMORY = 2.0
+_NARROW_TIME = 2.0
 # s: the age of an obstacle that becomes doubtful; in the open, only ages above 0 grow
 _DOUBTFUL = 1e-3
 # of range_min: a robot that moved this far has left hidden obstacles behind
@@ -213,7 +213,7 @@ def _turn_rays(bearings: Doubles, count: int, turned: float, rising: Doubles) ->
 
 
 @cython.cclass
-class BlindZoneMemory:
+class HiddenObstacles:
     """The hidden obstacles of one sensor, in the base frame of the last scan.
 
     `bearings` (n,) in rad: a hidden obstacle may lie along each bearing. `nearest` (n,) in m from
@@ -279,7 +279,7 @@ class BlindZoneMemory:
     _is_hidden: Indices
     _entered_x: float  # m, the place at which the last obstacle became hidden
     _entered_y: float
-    # m beside the rim that came into view since the memory was empty, and that went out of view
+    # m beside the rim that came into view since nothing was hidden, and that went out of view
     _emerged_m: float
     _vanished_m: float
 
@@ -683,7 +683,7 @@ class BlindZoneMemory:
         # 1. Drops candidates that the robot has left behind, or that have expired (rule 4).
         is_robot_near = hypot(self._entered_x, self._entered_y) < _FORGET_DISTANCE * self._radius
         for k in range(self._candidate_count):
-            self._is_hidden[k] = is_robot_near and self._age[k] < _NARROW_MEMORY
+            self._is_hidden[k] = is_robot_near and self._age[k] < _NARROW_TIME
         # 2. Drops candidates that have reappeared (rule 5).
         self._find_reappeared(turned, obstacle_step)
         self._drop_reappeared(sideways_shift, farthest_shift)

@@ -395,7 +395,7 @@ class RayMemory:
         is_packet = had_return and run <= _PACKET_RAYS
         if not is_packet and self._was_near(ray, now):
             return -INFINITY
-        # A long run over far returns may be an obstacle in the blind zone. `BlindZoneMemory`
+        # A long run over far returns may be an obstacle in the blind zone. `HiddenObstacles`
         # (robot/protection/blind_zone.py) finds such an obstacle by rays without a return, and
         # would find none if the memory filled these rays.
         may_hide = run > _HIDING_RAYS and self._ranges[at] > _HIDDEN_RANGE

@@ -38,43 +38,42 @@ from swarmd.robot.steering.velocity_obstacles import (
 )
 
 # s within which a track is met
-_HORIZON = cython.declare(cython.double, 1.8)
+_HORIZON = 1.8
 # s, for walls: protection slows the robot beside them anyway
-_WALL_HORIZON = cython.declare(cython.double, 0.8)
+_WALL_HORIZON = 0.8
 # m less than the clearance of a corridor, so that a robot drives along a wall
-_WALL_SLACK = cython.declare(cython.double, 0.06)
+_WALL_SLACK = 0.06
 # Share of the change of velocity that the robot makes, if the object avoids, too.
-_SHARE = cython.declare(cython.double, 0.5)
+_SHARE = 0.5
 # m/s: a slower object does not avoid, so the robot makes the whole change
-_STANDING = cython.declare(cython.double, 0.04)
+_STANDING = 0.04
 # rad to the right by which the request is turned if a track is in its way
-_RIGHT_RAD = cython.declare(cython.double, 0.35)
+_RIGHT_RAD = 0.35
 # s for which a robot that is held up waits for others to pass
-_WAIT_TIME = cython.declare(cython.double, 1.0)
+_WAIT_TIME = 1.0
 # rad/s by which the angle to the right then grows
-_RIGHT_TURN_RATE = cython.declare(cython.double, 0.25)
-_MAX_RIGHT_RAD = cython.declare(cython.double, 1.4)  # rad, the greatest angle to the right
+_RIGHT_TURN_RATE = 0.25
+_MAX_RIGHT_RAD = 1.4  # rad, the greatest angle to the right
 # s between two calls, and s held up, that count
-_LONGEST_PERIOD = cython.declare(cython.double, 0.2)
-_MAX_HELD_TIME = cython.declare(cython.double, 10.0)
+_LONGEST_PERIOD = 0.2
+_MAX_HELD_TIME = 10.0
 # s of free motion make up for twice as many s of being held up
-_RECOVERS = cython.declare(cython.double, 2.0)
+_RECOVERS = 2.0
 # Share of the requested speed: with less the robot is held up.
-_HELD_UP_SHARE = cython.declare(cython.double, 0.3)
+_HELD_UP_SHARE = 0.3
 _MIN_REQUEST_SHARE = 0.1  # of the limit: a slower request is no request to drive
 # m beyond the clearance of a corridor: a moving object needs more room than a wall
-_COMFORT = cython.declare(cython.double, 0.1)
+_COMFORT = 0.1
 # m ahead of the axle: walls there on both sides are a passage
-_PASSAGE_FROM = cython.declare(cython.double, -0.2)
-_PASSAGE_TO = cython.declare(cython.double, 0.35)
-PASSAGE_WIDTHS = cython.declare(cython.double, 1.4)
+_PASSAGE_FROM = -0.2
+_PASSAGE_TO = 0.35
+PASSAGE_WIDTHS = 1.4
 """Times the clearance to each side: a wider passage is no passage."""
 _LEAD = (0.05, 0.3)  # m, the bounds of the distance of the point ahead of the axle
 # m; farther tracks do not explain that the robot is blocked
-_NEAR_DISTANCE = cython.declare(cython.double, 1.0)
+_NEAR_DISTANCE = 1.0
 
 
-@cython.final
 @cython.cclass
 class Avoidance:
     """Chooses a command that leads past the tracks. Times are in s and come with each call.
@@ -84,17 +83,17 @@ class Avoidance:
         are_near: True if a track is within `_NEAR_DISTANCE` m, and the robot is not in a passage.
     """
 
-    avoiding: Track | None = cython.declare(object, visibility="public")
-    are_near = cython.declare(cython.bint, visibility="readonly")
-    _radius: cython.double  # m, the clearance of a corridor to each side
-    _width: cython.double  # m
-    _reach: cython.double  # m: a wall beyond forbids no velocity within the limits
-    _is_holonomic: cython.bint
-    _lead: cython.double  # m from the axle to the point ahead
-    _min_request: cython.double  # m/s
-    _right_rad: cython.double
-    _last_call_at: cython.double  # s
-    _held_s: cython.double
+    avoiding: Track | None
+    are_near: bool
+    _radius: float  # m, the clearance of a corridor to each side
+    _width: float  # m
+    _reach: float  # m: a wall beyond forbids no velocity within the limits
+    _is_holonomic: bool
+    _lead: float  # m from the axle to the point ahead
+    _min_request: float  # m/s
+    _right_rad: float
+    _last_call_at: float  # s
+    _held_s: float
 
     def __init__(self, clearance: Clearance, limits: Limits) -> None:
         self._radius = clearance.beside
@@ -107,16 +106,14 @@ class Avoidance:
         self._right_rad = _RIGHT_RAD
         self._last_call_at = -INFINITY
 
-    @cython.ccall
     def reset(self) -> None:
         """Forget how long the robot has been held up."""
         self._right_rad = _RIGHT_RAD
         self._held_s = 0.0
         self.avoiding = None
 
-    @cython.ccall
     def command(
-        self, requested: Twist, safe: Twist, now: cython.double, surroundings: Surroundings
+        self, requested: Twist, safe: Twist, now: float, surroundings: Surroundings
     ) -> Twist:
         """The command that replaces `requested`; `requested` itself if no object is in its way.
 
@@ -141,11 +138,11 @@ class Avoidance:
             return requested
 
         # 2. The lines of walls and tracks, for the velocity (x, y) of the point ahead of the axle.
-        x: cython.double = requested.linear
-        y: cython.double = requested.lateral + self._lead * requested.angular
+        x = requested.linear
+        y = requested.lateral + self._lead * requested.angular
         # Without the turn: other robots track the axle, which a turn does not move.
-        vx: cython.double = safe.linear
-        vy: cython.double = safe.lateral
+        vx = safe.linear
+        vy = safe.lateral
         lines: list[Line] = wall_lines(
             surroundings.walls,
             self._lead,
@@ -155,7 +152,7 @@ class Avoidance:
             self._reach,
             _WALL_HORIZON,
         )
-        wall_count: cython.Py_ssize_t = len(lines)
+        wall_count = len(lines)
         lines += track_lines(
             tracks, self._lead, vx, vy, self._radius + _COMFORT, _SHARE, _STANDING, _HORIZON
         )
@@ -168,37 +165,35 @@ class Avoidance:
         # 4. Else the permitted velocity nearest to the request, which is first turned to the right:
         # by `_right_rad`, that is _RIGHT_RAD and more for a robot that has been held up for long.
         # If walls alone forbid the request, _RIGHT_RAD does not count.
-        worst_line: cython.Py_ssize_t = most_violated(lines, wall_count, x, y)
-        right_rad: cython.double = self._right_rad
+        worst_line = most_violated(lines, wall_count, x, y)
+        right_rad = self._right_rad
         if worst_line >= 0:
             self.avoiding = tracks[worst_line - wall_count]
         else:
             right_rad -= _RIGHT_RAD
         c = cos(right_rad)
         s = -sin(right_rad)
-        speed: cython.double = math.hypot(x, y)
+        speed = math.hypot(x, y)
         chosen_x, chosen_y = nearest(lines, wall_count, c * x - s * y, s * x + c * y, speed)
         self._update_held_up(now, (chosen_x * x + chosen_y * y) / (speed * speed))
         if self._is_holonomic:
             return Twist(chosen_x, requested.angular, chosen_y)
         return Twist(chosen_x, chosen_y / self._lead)
 
-    @cython.cfunc
-    def _is_in_passage(self, walls: Array) -> cython.bint:
+    def _is_in_passage(self, walls: Array) -> bool:
         """True between walls that leave no room to go aside, where recovery keeps the middle."""
         widest = PASSAGE_WIDTHS * self._radius
-        width: cython.double = passage_between(walls, _PASSAGE_FROM, _PASSAGE_TO, widest)[0]
+        width: float = passage_between(walls, _PASSAGE_FROM, _PASSAGE_TO, widest)[0]
         return self._width < width < 2.0 * widest
 
-    @cython.cfunc
-    def _update_held_up(self, now: cython.double, share: cython.double) -> cython.int:
+    def _update_held_up(self, now: float, share: float) -> None:
         """Update `_held_s`, how long the robot has been held up, and the angle `_right_rad`.
 
         `share` is the share of the requested speed at which the robot may move.
         """
-        seconds: cython.double = min(max(now - self._last_call_at, 0.0), _LONGEST_PERIOD)
+        seconds = min(max(now - self._last_call_at, 0.0), _LONGEST_PERIOD)
         self._last_call_at = now
-        change: cython.double = seconds if share < _HELD_UP_SHARE else -_RECOVERS * seconds
+        change = seconds if share < _HELD_UP_SHARE else -_RECOVERS * seconds
         self._held_s = min(max(self._held_s + change, 0.0), _MAX_HELD_TIME)
         self._right_rad = min(
             _RIGHT_RAD + _RIGHT_TURN_RATE * max(self._held_s - _WAIT_TIME, 0.0), _MAX_RIGHT_RAD

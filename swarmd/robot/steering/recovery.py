@@ -33,6 +33,7 @@ from swarmd.core.angles import PI, TURN, wrap
 from swarmd.core.buffers import view
 from swarmd.core.cython_shadow import (
     INFINITY,
+    Table,
     atan2,
     copysign,
     cos,
@@ -51,79 +52,79 @@ if TYPE_CHECKING:
     from swarmd.core.values import Pose
 
 # A robot with less than this share of the requested speed is blocked.
-_BLOCKED_SHARE = cython.declare(cython.double, 0.5)
+_BLOCKED_SHARE = 0.5
 # s of blocked motion before recovery begins
-_MOVE_BLOCKED_TIME = cython.declare(cython.double, 0.1)
+_MOVE_BLOCKED_TIME = 0.1
 # s of blocked turning before the robot backs off instead
-_TURN_BLOCKED_TIME = cython.declare(cython.double, 1.0)
+_TURN_BLOCKED_TIME = 1.0
 # Share of the limits: a slower requested command never counts as blocked.
-_MIN_SPEED_SHARE = cython.declare(cython.double, 0.1)
+_MIN_SPEED_SHARE = 0.1
 # Share of this least linear speed: a slower robot hardly moves.
-_HARDLY_MOVES = cython.declare(cython.double, 0.25)
+_HARDLY_MOVES = 0.25
 # s for which the robot follows a free corridor
-_FOLLOW_TIME = cython.declare(cython.double, 1.5)
+_FOLLOW_TIME = 1.5
 # 1/s: rad/s for each rad that the heading is off the corridor
-_FOLLOW_GAIN = cython.declare(cython.double, 2.0)
-_BACK_OFF_TIME = cython.declare(cython.double, 0.8)  # s, the shortest back-off
+_FOLLOW_GAIN = 2.0
+_BACK_OFF_TIME = 0.8  # s, the shortest back-off
 # s, in addition to the back-off, after which recovery ends
-_MAX_RECOVERY_TIME = cython.declare(cython.double, 8.0)
+_MAX_RECOVERY_TIME = 8.0
 # s for which the robot keeps the chosen side
-_SIDE_HOLD_TIME = cython.declare(cython.double, 10.0)
+_SIDE_HOLD_TIME = 10.0
 _SIDE_FLIP_PROBABILITY = 0.05  # of the left side, so that two robots do not mirror each other
-_HEADING_TOLERANCE = cython.declare(cython.double, math.radians(15.0))
+_HEADING_TOLERANCE = math.radians(15.0)
 # rad by which a corridor on the other side must be nearer
-_OTHER_SIDE_COST = cython.declare(cython.double, math.radians(40.0))
-_YIELD_TIME = cython.declare(cython.double, 12.0)  # s, the longest back-off
+_OTHER_SIDE_COST = math.radians(40.0)
+_YIELD_TIME = 12.0  # s, the longest back-off
 # s within which the next block belongs to the same meeting
-_ROUND_TIME = cython.declare(cython.double, 15.0)
+_ROUND_TIME = 15.0
 # Of the requested speed: with less the robot looks for a narrow passage.
-_LIMITED_SHARE = cython.declare(cython.double, 0.9)
+_LIMITED_SHARE = 0.9
 _PURSUIT_LENGTH = 0.2  # m ahead on the middle line
 # 1/s, rad/s
-_PASSAGE_GAIN = cython.declare(cython.double, 3.0)
-_PASSAGE_TURN_RATE = cython.declare(cython.double, 0.8)
+_PASSAGE_GAIN = 3.0
+_PASSAGE_TURN_RATE = 0.8
 # m ahead of the axle: walls there are the sides of a passage
-_SIDES_FROM = cython.declare(cython.double, -0.15)
-_SIDES_TO = cython.declare(cython.double, 0.35)
+_SIDES_FROM = -0.15
+_SIDES_TO = 0.35
 # In a passage the request is at most this multiple of the allowed speed, plus this share of the
 # linear limit.
-_SPEED_UP = cython.declare(cython.double, 1.3)
-_SPEED_STEP = cython.declare(cython.double, 0.1)
+_SPEED_UP = 1.3
+_SPEED_STEP = 0.1
 # s without motion in a passage after which the robot counts as blocked
-_STOPPED_TIME = cython.declare(cython.double, 1.0)
+_STOPPED_TIME = 1.0
 # A robot that moves less than these m and turns less than these rad in these s counts as blocked.
-_STALL_DISTANCE = cython.declare(cython.double, 0.04)
-_STALL_TURN = cython.declare(cython.double, 1.0)
-_STALL_TIME = cython.declare(cython.double, 5.0)
+_STALL_DISTANCE = 0.04
+_STALL_TURN = 1.0
+_STALL_TIME = 5.0
 # s, the longest back-off that protection slows to less than half, as in contact
-_CREEP_TIME = cython.declare(cython.double, 4.0)
+_CREEP_TIME = 4.0
 # m from where a robot was set down, and s of requests, within which it leaves the place: see
 # `_observe`. Of 31 cells beside walls, in corners and in corridors that came less than 0.1 m in
 # 40 s, 30 then come 0.1 m (docs/evidence/beside.md). Robots that meet have driven farther.
-_LEAVING_DISTANCE = cython.declare(cython.double, 0.15)
-_LEAVING_TIME = cython.declare(cython.double, 120.0)
+_LEAVING_DISTANCE = 0.15
+_LEAVING_TIME = 120.0
 # s, the longest back-off of a robot that leaves: 12 cm
-_LEAVING_BACK_TIME = cython.declare(cython.double, 8.0)
+_LEAVING_BACK_TIME = 8.0
 # s for which a robot counts as one that creeps after its last command at a creep
-_CREPT_TIME = cython.declare(cython.double, 10.0)
+_CREPT_TIME = 10.0
 # s, the longest time between two decisions
-_DECISION_PERIOD = cython.declare(cython.double, 0.1)
+_DECISION_PERIOD = 0.1
 # s for which a robot that leaves straight keeps to ahead or back, unless it is blocked
-_WAY_HOLD_TIME = cython.declare(cython.double, 20.0)
+_WAY_HOLD_TIME = 20.0
 # m/s: a straight escape at least as fast is taken before one with a turn
-_STRAIGHT_ESCAPE = cython.declare(cython.double, 0.0075)
+_STRAIGHT_ESCAPE = 0.0075
 # m/s of the axle or of a flank: a robot no faster creeps (protection: 1.5 cm/s at each corner).
-_CREEPING = cython.declare(cython.double, 0.016)
+_CREEPING = 0.016
 # m/s of the axle or of a flank, in the direction of the request: a robot that creeps gains ground.
-_GAINS_GROUND = cython.declare(cython.double, 0.003)
+_GAINS_GROUND = 0.003
 # s for which a robot that gains ground at a creep keeps its direction at most: half a turn of a
 # TurtleBot 4 takes 40 s.
-_KEEPS_DIRECTION = cython.declare(cython.double, 60.0)
+_KEEPS_DIRECTION = 60.0
 # m beside the body, of a corridor along which a robot leaves
-_BESIDE_BODY = cython.declare(cython.double, 0.02)
+_BESIDE_BODY = 0.02
 _ESCAPE_TURNS = (0.0, 1.0, -1.0)  # rad/s
 # s of blocked motion before recovery begins, if moving objects are near
-_CROWD_PATIENCE = cython.declare(cython.double, 2.0)
+_CROWD_PATIENCE = 2.0
 
 _BEARINGS = np.radians(np.arange(-180.0, 180.0, 10.0)).tolist()  # rad, of corridors
 
@@ -144,7 +145,6 @@ class Others(Struct, frozen=True, gc=False):
 NO_OTHERS = Others()
 
 
-@cython.final
 @cython.cclass
 class Recovery:
     """Replaces the requested command of a blocked robot. Times are in s and come with each call.
@@ -162,42 +162,42 @@ class Recovery:
         has_taken_over: True while the command does not depend on the requested one.
     """
 
-    lookahead = cython.declare(cython.double, visibility="readonly")
-    is_active = cython.declare(cython.bint, visibility="readonly")
-    has_taken_over = cython.declare(cython.bint, visibility="readonly")
-    _half_width: cython.double  # m, of a corridor
-    _width: cython.double  # m, of the robot
-    _flank: cython.double  # m from the axle, of the place whose speed in a turn counts
-    _linear_limit: cython.double  # m/s
-    _angular_limit: cython.double  # rad/s
-    _turn_rate: cython.double  # rad/s
-    _turn_weight: cython.double  # m2/s2 for each rad2/s2
+    lookahead: float
+    is_active: bool
+    has_taken_over: bool
+    _half_width: float  # m, of a corridor
+    _width: float  # m, of the robot
+    _flank: float  # m from the axle, of the place whose speed in a turn counts
+    _linear_limit: float  # m/s
+    _angular_limit: float  # rad/s
+    _turn_rate: float  # rad/s
+    _turn_weight: float  # m2/s2 for each rad2/s2
     _rng: Random
-    _side: cython.double  # 1 left or -1 right
-    _side_until: cython.double
-    _bearing: cython.double  # rad, of the corridor
-    _planned_at_yaw: cython.double  # rad
-    _speed: cython.double  # m/s, the fastest that was requested during a recovery
-    _is_backing: cython.bint
+    _side: float  # 1 left or -1 right
+    _side_until: float
+    _bearing: float  # rad, of the corridor
+    _planned_at_yaw: float  # rad
+    _speed: float  # m/s, the fastest that was requested during a recovery
+    _is_backing: bool
     _set_down_at: Pose | None  # of odometry, where the robot was set down; None: not known yet
-    _is_set_down: cython.bint  # the robot has not left this place
-    _leaving_time: cython.double  # s of requests since the robot was set down
-    _decided_at: cython.double  # s, of the last decision
-    _crept_at: cython.double  # s, of the last safe command at a creep; -inf without one
-    _leaves: cython.bint  # the robot was set down here, and protection lets it creep
-    _is_way_back: cython.bint  # the robot has crept back, not ahead
-    _way_until: cython.double  # s, until which it keeps to this way; -inf: it may choose
-    _gained_at: cython.double  # s, when the robot last gained ground at a creep
+    _is_set_down: bool  # the robot has not left this place
+    _leaving_time: float  # s of requests since the robot was set down
+    _decided_at: float  # s, of the last decision
+    _crept_at: float  # s, of the last safe command at a creep; -inf without one
+    _leaves: bool  # the robot was set down here, and protection lets it creep
+    _is_way_back: bool  # the robot has crept back, not ahead
+    _way_until: float  # s, until which it keeps to this way; -inf: it may choose
+    _gained_at: float  # s, when the robot last gained ground at a creep
     _escape: Twist | None  # the twist of state back; None without one
-    _back_off_count: cython.longlong
-    _back_time: cython.double
-    _last_block_at: cython.double  # s; -inf without one
+    _back_off_count: int
+    _back_time: float
+    _last_block_at: float  # s; -inf without one
     _request: Twist  # the last replacement
     _last_motion: tuple[Any, Pose] | None  # its time and pose; None without one
-    _began_at: cython.double
-    _blocked_since: cython.double  # inf: not blocked
+    _began_at: float
+    _blocked_since: float  # inf: not blocked
     _state: str
-    _state_since: cython.double
+    _state_since: float
 
     def __init__(self, clearance: Clearance, limits: Limits, seed: str) -> None:
         """`clearance` is the room that a corridor needs for nearly full speed under protection.
@@ -220,7 +220,6 @@ class Recovery:
         self.set_down()
         self.reset()
 
-    @cython.ccall
     def set_down(self) -> None:
         """The robot does not run: a person may have set it down where it is.
 
@@ -236,7 +235,6 @@ class Recovery:
         self._way_until = -INFINITY
         self._gained_at = -INFINITY
 
-    @cython.ccall
     def reset(self) -> None:
         """Become inactive: the requested command passes."""
         self._request = ZERO
@@ -244,7 +242,6 @@ class Recovery:
         self._began_at = -INFINITY
         self._enter("follow", -INFINITY)
 
-    @cython.ccall
     def replacement(
         self,
         requested: Twist,
@@ -270,15 +267,15 @@ class Recovery:
         """
         # The request before avoidance: avoidance may slow a request so much that it seems idle.
         pattern_request = requested if others.wanted is None else others.wanted
-        linear: cython.double = pattern_request.linear
-        lateral: cython.double = pattern_request.lateral
-        now: cython.double = context.now
+        linear = pattern_request.linear
+        lateral = pattern_request.lateral
+        now = context.now
 
         self._observe(pattern_request, safe, context)
 
         # 1. Ends a recovery that is not needed any more (right of way decides, too: `is_settled`),
         # or takes too long.
-        has_taken_over: cython.bint = self.has_taken_over
+        has_taken_over = self.has_taken_over
         if (
             others.is_settled
             or not (self._is_fast(linear, lateral) or self._is_turning(pattern_request.angular))
@@ -290,8 +287,8 @@ class Recovery:
         # 2. Before a recovery. A robot that is neither blocked nor stalled keeps its request, which
         # is led along the middle line in a passage. A blocked robot begins a recovery.
         # `patience`: s of blocked motion before a recovery begins.
-        patience: cython.double = _CROWD_PATIENCE if others.are_near else _MOVE_BLOCKED_TIME
-        is_blocked: cython.bint = self._is_blocked(safe, now, patience)
+        patience = _CROWD_PATIENCE if others.are_near else _MOVE_BLOCKED_TIME
+        is_blocked = self._is_blocked(safe, now, patience)
         if not has_taken_over:
             if not is_blocked and not self._is_stalled(context, points):
                 if others.are_avoided:
@@ -309,7 +306,6 @@ class Recovery:
         self._request = self._recover(safe, context, points, is_blocked, safe_for)
         return self._request
 
-    @cython.cfunc
     def _observe(self, requested: Twist, safe: Twist, context: DecisionContext) -> None:
         """Update `_leaves`, and what a robot that leaves keeps to.
 
@@ -320,7 +316,7 @@ class Recovery:
         """
         if not self._is_set_down:
             return
-        now: cython.double = context.now
+        now = context.now
         if not requested.is_zero:
             self._leaving_time += max(min(now - self._decided_at, _DECISION_PERIOD), 0.0)
         self._decided_at = now
@@ -329,7 +325,7 @@ class Recovery:
             self._leaves = False
             self._way_until = -INFINITY
             return
-        is_creep: cython.bint = self._is_creep(safe)
+        is_creep = self._is_creep(safe)
         if is_creep and not safe.is_zero:
             self._crept_at = now
         self._leaves = now - self._crept_at <= _CREPT_TIME
@@ -341,8 +337,7 @@ class Recovery:
             self._is_way_back = safe.linear < 0.0
             self._way_until = now + _WAY_HOLD_TIME
 
-    @cython.cfunc
-    def _is_near_start(self, context: DecisionContext) -> cython.bint:
+    def _is_near_start(self, context: DecisionContext) -> bool:
         """True if odometry says that the robot is still where it was set down; sets this place."""
         if context.odometry is None:
             return False
@@ -352,8 +347,7 @@ class Recovery:
         start = self._set_down_at
         return hypot(pose.x - start.x, pose.y - start.y) < _LEAVING_DISTANCE
 
-    @cython.cfunc
-    def _is_over(self, now: cython.double) -> cython.bint:
+    def _is_over(self, now: float) -> bool:
         """True if a recovery takes too long.
 
         A robot that leaves and gains ground keeps its direction: the request, or a back-off before
@@ -363,10 +357,9 @@ class Recovery:
             return False
         if not self._leaves:
             return True
-        is_gaining: cython.bint = now - self._gained_at <= _TURN_BLOCKED_TIME
+        is_gaining = now - self._gained_at <= _TURN_BLOCKED_TIME
         return not (is_gaining and now - self._state_since <= _KEEPS_DIRECTION)
 
-    @cython.cfunc
     def _start(self, requested: Twist, context: DecisionContext, points: Array) -> None:
         """Begin a recovery: back off if a motion was blocked; choose a corridor if a turn was.
 
@@ -380,8 +373,7 @@ class Recovery:
         else:
             self._plan(0.0, context, points)
 
-    @cython.cfunc
-    def _is_blocked(self, safe: Twist, now: cython.double, patience: cython.double) -> cython.bint:
+    def _is_blocked(self, safe: Twist, now: float, patience: float) -> bool:
         """Update `_blocked_since`; True once the robot has been blocked for some time.
 
         A robot is blocked while the safe command is far below the last request. The time is
@@ -390,14 +382,14 @@ class Recovery:
         longer of `patience` and _STOPPED_TIME. A robot that is in a passage or creeps counts as
         blocked only while it hardly moves.
         """
-        linear: cython.double = self._request.linear
-        angular: cython.double = self._request.angular
-        lateral: cython.double = self._request.lateral
-        is_passing: cython.bint = self._state == "pass"
-        is_moving: cython.bint = self._is_fast(linear, lateral)
-        share: cython.double = 1.0  # of the request that protection allows
+        linear = self._request.linear
+        angular = self._request.angular
+        lateral = self._request.lateral
+        is_passing = self._state == "pass"
+        is_moving = self._is_fast(linear, lateral)
+        share = 1.0  # of the request that protection allows
         if is_passing or self._creeps(safe):
-            least: cython.double = _HARDLY_MOVES * (_MIN_SPEED_SHARE * self._linear_limit)
+            least = _HARDLY_MOVES * (_MIN_SPEED_SHARE * self._linear_limit)
             if self._leaves and not is_passing:
                 least = min(least, _GAINS_GROUND)
             share = 1.0 if fabs(safe.linear) >= least else 0.0
@@ -419,41 +411,37 @@ class Recovery:
             patience = _MOVE_BLOCKED_TIME
         return now - self._blocked_since >= patience
 
-    @cython.cfunc
-    def _creeps(self, safe: Twist) -> cython.bint:
+    def _creeps(self, safe: Twist) -> bool:
         """True if protection lets a robot that backs off only creep, as in contact."""
         if self._state != "back":
             return False
-        asked: cython.double = self._request.linear
-        allowed: cython.double = safe.linear
+        asked = self._request.linear
+        allowed = safe.linear
         if asked <= 0.0:
             allowed = -allowed
         return 0.0 < allowed < _BLOCKED_SHARE * fabs(asked)
 
-    @cython.cfunc
-    def _gains_ground(self, safe: Twist) -> cython.bint:
+    def _gains_ground(self, safe: Twist) -> bool:
         """True if protection lets a robot that leaves creep in the direction of its request."""
         if not self._leaves or self._state not in ("turn", "go"):
             return False
         if not self._is_creep(safe):
             return False
-        gained: cython.double = self._flank * safe.angular * self._request.angular
-        speed: cython.double = fabs(self._request.angular)
+        gained = self._flank * safe.angular * self._request.angular
+        speed = fabs(self._request.angular)
         if self._request.linear != 0.0:
             gained = safe.linear * self._request.linear
             speed = fabs(self._request.linear)
         return gained >= _GAINS_GROUND * speed
 
-    @cython.cfunc
-    def _is_creep(self, safe: Twist) -> cython.bint:
+    def _is_creep(self, safe: Twist) -> bool:
         """True if neither the axle nor a flank is faster than a robot that creeps."""
         return (
             hypot(safe.linear, safe.lateral) <= _CREEPING
             and fabs(self._flank * safe.angular) <= _CREEPING
         )
 
-    @cython.cfunc
-    def _is_stalled(self, context: DecisionContext, points: Points) -> cython.bint:
+    def _is_stalled(self, context: DecisionContext, points: Points) -> bool:
         """Update `_last_motion`; True: no progress near obstacles, although the robot may move.
 
         By odometry the robot has stayed near one place and heading for more than `_STALL_TIME` s:
@@ -462,13 +450,13 @@ class Recovery:
         """
         if context.odometry is None:
             return False
-        now: cython.double = context.now
+        now = context.now
         pose = context.odometry.pose
         if self._last_motion is not None:
             since, start = self._last_motion
             distance = hypot(pose.x - start.x, pose.y - start.y)
             turn = fabs(pose.yaw - start.yaw)
-            has_stayed: cython.bint = distance <= _STALL_DISTANCE and turn <= _STALL_TURN
+            has_stayed = distance <= _STALL_DISTANCE and turn <= _STALL_TURN
             if has_stayed and now - since <= _STALL_TIME:
                 return False
             if has_stayed and len(points()):
@@ -476,16 +464,15 @@ class Recovery:
         self._last_motion = now, pose
         return False
 
-    @cython.cfunc
     def _product(
         self,
-        linear: cython.double,
-        angular: cython.double,
-        lateral: cython.double,
-        other_linear: cython.double,
-        other_angular: cython.double,
-        other_lateral: cython.double,
-    ) -> cython.double:
+        linear: float,
+        angular: float,
+        lateral: float,
+        other_linear: float,
+        other_angular: float,
+        other_lateral: float,
+    ) -> float:
         """The inner product of two twists in m2/s2.
 
         A turn at its limit weighs as much as motion at its limit. So a robot that may make the turn
@@ -497,15 +484,14 @@ class Recovery:
             + self._turn_weight * angular * other_angular
         )
 
-    @cython.cfunc
-    def _set_back_time(self, now: cython.double, points: Array) -> None:
+    def _set_back_time(self, now: float, points: Array) -> None:
         """Set `_back_time` of a robot that has just been blocked, and `_back_off_count`.
 
         If two robots meet between walls, each block of the meeting makes the back-off longer. In
         the open, or at the first block of a meeting, the back-off is short, since the robots can
         drive around each other.
         """
-        is_new: cython.bint = now - self._last_block_at > _ROUND_TIME
+        is_new = now - self._last_block_at > _ROUND_TIME
         self._last_block_at = now
         if is_new or not self._is_enclosed(points):
             self._back_off_count = 0
@@ -514,13 +500,12 @@ class Recovery:
 
         # A random time whose bound doubles with each block.
         self._back_off_count += 1
-        longest: cython.double = _BACK_OFF_TIME * 2.0 ** min(self._back_off_count, 4)
+        longest = _BACK_OFF_TIME * 2.0 ** min(self._back_off_count, 4)
         self._back_time = self._rng.uniform(0.5, 1.0) * min(longest, _YIELD_TIME)
 
-    @cython.cfunc
-    def _is_enclosed(self, points: Array) -> cython.bint:
+    def _is_enclosed(self, points: Array) -> bool:
         """True between walls: no corridor ahead is free up to the lookahead."""
-        places: cython.const_double[:, ::1] = view(points)
+        places: Table = view(points)
         ahead = [bearing for bearing in _BEARINGS if fabs(bearing) <= 0.5 * PI]
         return all(
             [
@@ -529,15 +514,14 @@ class Recovery:
             ]
         )
 
-    @cython.cfunc
     def _through_passage(self, requested: Twist, safe: Twist, points: Points) -> Twist:
         """The command that keeps to the middle of a narrow passage; else `requested`.
 
         `requested` passes if the robot is not in a narrow passage, or protection does not limit it.
         """
-        linear: cython.double = requested.linear
-        allowed: cython.double = safe.linear
-        is_limited: cython.bint = self._state == "pass"
+        linear = requested.linear
+        allowed = safe.linear
+        is_limited = self._state == "pass"
         if not is_limited and linear > 0.0 and linear >= _MIN_SPEED_SHARE * self._linear_limit:
             is_limited = (
                 self._is_fast(self._request.linear, self._request.lateral)
@@ -555,13 +539,12 @@ class Recovery:
         linear = min(linear, _SPEED_UP * max(allowed, 0.0) + _SPEED_STEP * self._linear_limit)
         return Twist(linear, _turn_to(target))
 
-    @cython.cfunc
     def _recover(
         self,
         safe: Twist,
         context: DecisionContext,
         points: Points,
-        is_blocked: cython.bint,
+        is_blocked: bool,
         safe_for: Allows | None,
     ) -> Twist:
         """The command of a recovery; changes the state first if necessary.
@@ -576,11 +559,11 @@ class Recovery:
         """
         # 1. Changes the state. A blocked turn leads to a back-off or an escape; the end of a
         # back-off, or a blocked drive, to a new corridor.
-        now: cython.double = context.now
+        now = context.now
         # At a creep, as in contact, the robot needs longer to get clear.
-        back_time: cython.double = self._back_time
+        back_time = self._back_time
         if self._creeps(safe):
-            is_leaving: cython.bint = self._leaves and self._is_creep(safe)
+            is_leaving = self._leaves and self._is_creep(safe)
             back_time = _LEAVING_BACK_TIME if is_leaving else _CREEP_TIME
         if self._state != "turn" and is_blocked:
             self._way_until = -INFINITY
@@ -595,42 +578,37 @@ class Recovery:
         # 2. The command of the state.
         if self._state == "back":
             return self._backing()
-        yaw_error: cython.double = remainder(self._bearing - self._turned_since_plan(context), TURN)
+        yaw_error = remainder(self._bearing - self._turned_since_plan(context), TURN)
         if self._state == "turn":
             if fabs(yaw_error) > _HEADING_TOLERANCE:
                 return Twist(0.0, copysign(self._turn_rate, yaw_error))
             self._enter("go", now)
         if now - self._state_since >= _FOLLOW_TIME and not self._gains_ground(safe):
             self.reset()  # this command is the last one of the recovery
-        turn: cython.double = max(min(_FOLLOW_GAIN * yaw_error, self._turn_rate), -self._turn_rate)
+        turn = max(min(_FOLLOW_GAIN * yaw_error, self._turn_rate), -self._turn_rate)
         return Twist(self._speed, turn)
 
-    @cython.cfunc
     def _backing(self) -> Twist:
         """The command of state back; a long back-off is faster."""
-        speed: cython.double = 0.5 * self._speed
+        speed = 0.5 * self._speed
         if self._escape is not None:
             return self._escape
         if not self._is_backing:
             return Twist(speed)
         return Twist(-speed if self._back_time <= _BACK_OFF_TIME else -2.0 * speed)
 
-    @cython.cfunc
-    def _is_fast(self, linear: cython.double, lateral: cython.double) -> cython.bint:
+    def _is_fast(self, linear: float, lateral: float) -> bool:
         """True if a twist with these speeds translates faster than the least speed."""
         return hypot(linear, lateral) >= _MIN_SPEED_SHARE * self._linear_limit
 
-    @cython.cfunc
-    def _is_turning(self, angular: cython.double) -> cython.bint:
+    def _is_turning(self, angular: float) -> bool:
         """True if a twist with this speed turns faster than the least speed."""
         return fabs(angular) >= _MIN_SPEED_SHARE * self._angular_limit
 
-    @cython.cfunc
     def _leave_passage(self) -> None:
         if self._state == "pass":
             self._enter("follow", self._state_since)
 
-    @cython.ccall
     def middle(self, points: Array) -> Array | None:
         """(2,) a place in m ahead on the middle line of a narrow passage; None without a passage.
 
@@ -649,11 +627,10 @@ class Recovery:
         target: Array = middle - direction * (middle @ direction - _PURSUIT_LENGTH)
         return target if target[0] > 0.0 else None
 
-    @cython.cfunc
-    def _back_off(self, points: Array, now: cython.double) -> None:
+    def _back_off(self, points: Array, now: float) -> None:
         """Move forward or backward, to the side with more room."""
-        places: cython.const_double[:, ::1] = view(points)
-        half_width: cython.double = self._half_width
+        places: Table = view(points)
+        half_width = self._half_width
         if self._leaves:
             half_width = self._body_half_width()
         ahead = self._free_length(places, 0.0, half_width)
@@ -663,7 +640,6 @@ class Recovery:
         self._escape = None
         self._enter("back", now)
 
-    @cython.cfunc
     def _fastest_escape(self, safe_for: Allows) -> Twist | None:
         """The fastest of six twists that protection allows; None if protection allows none.
 
@@ -683,8 +659,7 @@ class Recovery:
                     escape = twist
         return escape
 
-    @cython.cfunc
-    def _plan(self, heading: cython.double, context: DecisionContext, points: Array) -> None:
+    def _plan(self, heading: float, context: DecisionContext, points: Array) -> None:
         """Choose a free corridor near `heading` (bearing in rad), and enter the state turn.
 
         A corridor costs its angle from the heading. A corridor on the side that was not chosen
@@ -694,11 +669,11 @@ class Recovery:
         a corner and in a narrow corridor each wider one ends at a wall beside it, and the longest
         leads across, to the next wall.
         """
-        now: cython.double = context.now
+        now = context.now
         if now >= self._side_until:
             self._side = 1.0 if self._rng.random() < _SIDE_FLIP_PROBABILITY else -1.0
         self._side_until = now + _SIDE_HOLD_TIME
-        places: cython.const_double[:, ::1] = view(points)
+        places: Table = view(points)
         self._choose(places, heading, self._half_width)
         if self._leaves:
             free = self._free_length(places, self._bearing, self._half_width)
@@ -707,20 +682,13 @@ class Recovery:
         self._planned_at_yaw = 0.0 if context.odometry is None else context.odometry.pose.yaw
         self._enter("turn", now)
 
-    @cython.cfunc
-    def _body_half_width(self) -> cython.double:
+    def _body_half_width(self) -> float:
         """m, half of the width of a corridor along which a robot leaves."""
         return 0.5 * self._width + _BESIDE_BODY
 
-    @cython.cfunc
-    def _choose(
-        self,
-        places: cython.const_double[:, ::1],
-        heading: cython.double,
-        half_width: cython.double,
-    ) -> None:
+    def _choose(self, places: Table, heading: float, half_width: float) -> None:
         """Set `_bearing` to that of the corridor that costs least; see `_plan`."""
-        least_cost: cython.double = INFINITY
+        least_cost = INFINITY
         for bearing in _BEARINGS:
             angle_off = wrap(bearing - heading)
             cost = fabs(angle_off)
@@ -733,13 +701,7 @@ class Recovery:
                 least_cost = cost
                 self._bearing = bearing
 
-    @cython.cfunc
-    def _free_length(
-        self,
-        places: cython.const_double[:, ::1],
-        bearing: cython.double,
-        half_width: cython.double,
-    ) -> cython.double:
+    def _free_length(self, places: Table, bearing: float, half_width: float) -> float:
         """m of free corridor from the axle along a bearing, up to `lookahead`."""
         c = cos(bearing)
         s = sin(bearing)
@@ -751,15 +713,13 @@ class Recovery:
                 free = ahead
         return free
 
-    @cython.cfunc
-    def _turned_since_plan(self, context: DecisionContext) -> cython.double:
+    def _turned_since_plan(self, context: DecisionContext) -> float:
         """The turn in rad since the corridor was chosen."""
         if context.odometry is None:
             return copysign(self._turn_rate * (context.now - self._state_since), self._bearing)
         return context.odometry.pose.yaw - self._planned_at_yaw
 
-    @cython.cfunc
-    def _enter(self, state: str, now: cython.double) -> None:
+    def _enter(self, state: str, now: float) -> None:
         self._state = state
         self._state_since = now
         self.is_active = state != "follow"
@@ -767,8 +727,7 @@ class Recovery:
         self._blocked_since = INFINITY
 
 
-@cython.cfunc
-def _turn_to(target: Array) -> cython.double:
+def _turn_to(target: Array) -> float:
     """The turn in rad/s towards a place (2,) on the middle line of a passage."""
     turn = _PASSAGE_GAIN * atan2(target[1], target[0])
     return max(min(turn, _PASSAGE_TURN_RATE), -_PASSAGE_TURN_RATE)

@@ -42,12 +42,12 @@ from swarmd.robot.steering.recovery import Allows, Points
 from swarmd.robot.steering.tracks import ScanReturns, Surroundings, Track, speed_of
 from swarmd.robot.steering.way_settings import WaySettings
 
-_way = cython.declare(WaySettings, WaySettings())
+_way = WaySettings()
 # m/s that are tried for a slower command; protection lets a robot creep at the last
 _SPEEDS = (0.14, 0.1, 0.07, 0.04)
 # A track comes from the side of the robot, or from the other side of the opening.
-_THIS_SIDE = cython.declare(cython.double, -1.0)
-_OTHER_SIDE = cython.declare(cython.double, 1.0)
+_THIS_SIDE = -1.0
+_OTHER_SIDE = 1.0
 
 # A tuple: the hash of a member of an Enum is a call of Python.
 _SETTLED = (WayState.IN, WayState.BACK, WayState.WAIT, WayState.LINE)
@@ -99,47 +99,46 @@ class _Traffic(Struct, frozen=True, gc=False):
     is_queued: bool = False  # a robot that has not come out waits on the side of this robot
 
 
-@cython.final
 @cython.cclass
 class RightOfWay:
     """Replaces the requested command of a robot before an opening. Times are in s, by argument."""
 
-    state: WayState = cython.declare(object, visibility="readonly")  # WayState
-    _linear_limit: cython.double  # m/s
-    _angular_limit: cython.double  # rad/s
-    _lead: cython.double  # s of a requested turn that are looked ahead
+    state: WayState  # WayState
+    _linear_limit: float  # m/s
+    _angular_limit: float  # rad/s
+    _lead: float  # s of a requested turn that are looked ahead
     _rng: Random
     _openings: Openings
     # Of the last command: the tracks in the base frame, and the pose of the base.
     _surroundings: Surroundings
-    _x: cython.double  # the pose by odometry at the last command
-    _y: cython.double
-    _yaw: cython.double
+    _x: float  # the pose by odometry at the last command
+    _y: float
+    _yaw: float
     _trail: OdometryTrail
-    _passed_at = cython.declare(cython.double, visibility="public")
-    _speed: cython.double  # m/s; the fastest speed requested so far, as in recovery
+    _passed_at: float
+    _speed: float  # m/s; the fastest speed requested so far, as in recovery
     _opening: Opening | None  # the chosen one; None: requests pass
-    _sign: cython.double  # 1 or -1: the way through, along the angle of the opening or opposite
-    _chosen_at: cython.double  # when the opening was chosen
-    _wanted_yaw: cython.double  # rad, the direction of the request in the frame of the odometry
+    _sign: float  # 1 or -1: the way through, along the angle of the opening or opposite
+    _chosen_at: float  # when the opening was chosen
+    _wanted_yaw: float  # rad, the direction of the request in the frame of the odometry
     # By the id of a track. `_sides`: _THIS_SIDE or _OTHER_SIDE, from which the track came.
     # `_farthest`: its farthest place in m along the axis. `_seen_since`: in s.
-    _sides: dict[int, Any] = cython.declare(dict, visibility="readonly")
+    _sides: dict[int, Any]
     _farthest: dict[int, float]
     _seen_since: dict[int, float]
     # By the id of a track that came out: s, when the robot last saw the track in the opening.
     # Dropped when the robot sees the track elsewhere.
     _within_at: dict[int, float]
     _came_out: set[int]  # ids of the tracks that have come out to this side
-    _progress_along: cython.double  # m along the axis: where the robot last made progress
-    _progress_at: cython.double  # s, when this was
-    _is_backing: cython.bint
-    _busy_at: cython.double  # when traffic last made the robot give way
-    _keep_clear_for: cython.double  # s after `_busy_at` in which the robot still gives way
-    _waiting_side: cython.double  # 1 left or -1 right of the axis; 0: not chosen
-    _is_lined_up: cython.bint
+    _progress_along: float  # m along the axis: where the robot last made progress
+    _progress_at: float  # s, when this was
+    _is_backing: bool
+    _busy_at: float  # when traffic last made the robot give way
+    _keep_clear_for: float  # s after `_busy_at` in which the robot still gives way
+    _waiting_side: float  # 1 left or -1 right of the axis; 0: not chosen
+    _is_lined_up: bool
     # m to the left: the middle measured between the posts less that of the sightings; None before.
-    _middle_offset: float | None = cython.declare(object)
+    _middle_offset: float | None
 
     def __init__(
         self, clearance: Clearance, limits: Limits, seed: str, returns: ScanReturns | None = None
@@ -155,20 +154,17 @@ class RightOfWay:
         self._passed_at = -INFINITY
         self.reset()
 
-    @cython.ccall
     def reset(self) -> None:
         """Forget the request; keep all openings that the robot knows."""
         self._speed = _way.unknown_speed_share * self._linear_limit
         self._release()
 
-    @cython.ccall
     def on_odometry(self, odometry: Odometry) -> None:
         """Take in a reading. If it begins the trail anew, all openings are forgotten."""
         if self._trail.take(odometry) == ANEW:
             self._openings.clear()
             self._release()
 
-    @cython.cfunc
     def _release(self) -> None:
         """Drop the chosen opening: requests pass until another opening is on the way."""
         self._opening = None
@@ -201,12 +197,11 @@ class RightOfWay:
             return None
         trail: OdometryTrail = self._trail
         trail.set_pose(trail.latest + (context.odometry_age or 0.0))
-        x: cython.double = opening.x - trail.x
-        y: cython.double = opening.y - trail.y
-        bearing: cython.double = remainder(atan2(y, x) - trail.yaw, TURN)
+        x = opening.x - trail.x
+        y = opening.y - trail.y
+        bearing = remainder(atan2(y, x) - trail.yaw, TURN)
         return Avoided(bearing, math.hypot(x, y), self.state)
 
-    @cython.ccall
     def observe(self, scan: Scan, offset: tuple[float, float], context: DecisionContext) -> None:
         """Take in a conditioned scan; `offset`: m, the place of the sensor in the base frame."""
         odometry = context.odometry
@@ -219,8 +214,8 @@ class RightOfWay:
             return
         scan_age = (scan.newest_age or 0.0) + context.scan_delay
         pose = self._trail.pose_at(self._trail.latest + context.odometry_age - scan_age)
-        c: cython.double = cos(self._yaw)
-        s: cython.double = sin(self._yaw)
+        c = cos(self._yaw)
+        s = sin(self._yaw)
         track: Track
         placed: list[Any] = []
         for track in tracks:
@@ -228,7 +223,6 @@ class RightOfWay:
             placed.append((x, y, track.radius))
         self._openings.observe(scan, offset, pose, context.now, tuple(placed), self._opening)
 
-    @cython.ccall
     def command(
         self,
         requested: Twist,
@@ -248,7 +242,7 @@ class RightOfWay:
         """
         odometry = context.odometry
         odometry_age = context.odometry_age
-        now: cython.double = context.now
+        now = context.now
         if odometry is None or odometry_age is None:
             return requested
         self.on_odometry(odometry)
@@ -256,16 +250,16 @@ class RightOfWay:
         # 1. The pose of the base, and the direction of the request.
         trail: OdometryTrail = self._trail
         trail.set_pose(trail.latest + odometry_age)
-        base_x: cython.double = trail.x
-        base_y: cython.double = trail.y
-        yaw: cython.double = trail.yaw
+        base_x = trail.x
+        base_y = trail.y
+        yaw = trail.yaw
         self._surroundings = surroundings
         self._x = base_x
         self._y = base_y
         self._yaw = yaw
-        linear: cython.double = requested.linear
-        angular: cython.double = requested.angular
-        lateral: cython.double = requested.lateral
+        linear = requested.linear
+        angular = requested.angular
+        lateral = requested.lateral
         if linear == 0.0 and angular == 0.0 and lateral == 0.0:
             self._release()
             return requested
@@ -281,31 +275,31 @@ class RightOfWay:
             return requested
         along, aside = opening.to_local(base_x, base_y, self._sign)
         begin, end = opening.ends(self._sign)
-        depth: cython.double = end - begin
+        depth = end - begin
         along -= begin
-        yaw_off: cython.double = yaw - opening.angle - (0.0 if self._sign > 0.0 else math.pi)
-        heading: cython.double = remainder(yaw_off, TURN)
+        yaw_off = yaw - opening.angle - (0.0 if self._sign > 0.0 else math.pi)
+        heading = remainder(yaw_off, TURN)
 
         # 3. Drops the opening once it is passed, far away, not on the way, or after `give_up` s.
         tracks: tuple[Track, ...] = surroundings.tracks
-        is_passed: cython.bint = along > depth + _way.beyond
+        is_passed = along > depth + _way.beyond
         if is_passed and tracks:
             self._passed_at = now  # others are near: next time this robot lets them pass longer
-        cos_to_request: cython.double = cos(self._wanted_yaw - opening.angle) * self._sign
-        is_too_long: cython.bint = now - self._chosen_at > _way.give_up
+        cos_to_request = cos(self._wanted_yaw - opening.angle) * self._sign
+        is_too_long = now - self._chosen_at > _way.give_up
         if is_passed or along < -_way.too_far or cos_to_request < _way.leads_away or is_too_long:
             self._release()
             return requested
 
         # 4. Places the tracks that persist in the frame of the opening. New tracks may be walls.
-        c: cython.double = cos(yaw)
-        s: cython.double = sin(yaw)
+        c = cos(yaw)
+        s = sin(yaw)
         track: Track
         others = []
         seen_since = {}
         for track in tracks:
             id = track.id
-            since: cython.double = self._seen_since.get(id, now)
+            since = self._seen_since.get(id, now)
             seen_since[id] = since
             if now - since >= _way.persists:
                 x, y = _moved(track.x, track.y, base_x, base_y, c, s)
@@ -319,14 +313,7 @@ class RightOfWay:
         place = _Place(along, aside, heading, depth, opening.half)
         return self._decide_state(place, others, now, safe_for, points)
 
-    @cython.cfunc
-    def _requested_yaw(
-        self,
-        linear: cython.double,
-        angular: cython.double,
-        lateral: cython.double,
-        yaw: cython.double,
-    ) -> cython.double:
+    def _requested_yaw(self, linear: float, angular: float, lateral: float, yaw: float) -> float:
         """The direction of a request (m/s, rad/s) in rad in the frame of the odometry.
 
         `yaw` in rad is that of the robot. A request to drive backwards counts as one without that
@@ -343,8 +330,7 @@ class RightOfWay:
                 bearing = copysign(PI, bearing)
         return yaw + bearing
 
-    @cython.cfunc
-    def _choose(self, x: cython.double, y: cython.double, now: cython.double) -> None:
+    def _choose(self, x: float, y: float, now: float) -> None:
         """Choose the nearest opening through which the request leads, or into whose wall it leads.
 
         Sets `_opening` and `_sign` (the direction through the opening), and resets what belongs to
@@ -356,7 +342,7 @@ class RightOfWay:
         chosen = None
         for opening in self._openings.known:
             # 1. Skips an opening that was seen too rarely, or whose wall the request leads along.
-            angle: cython.double = remainder(self._wanted_yaw - opening.angle, TURN)
+            angle = remainder(self._wanted_yaw - opening.angle, TURN)
             if opening.hits < SIGHTINGS or fabs(fabs(angle) - 0.5 * PI) < _way.along_wall:
                 continue
 
@@ -371,13 +357,11 @@ class RightOfWay:
             # 3. Does the request lead into the opening or its wall? `meets_aside`: m to the left of
             # the axis where the request meets the begin of the opening, or where the robot is if it
             # is beyond the begin. (tan is the same for the opposite way through.)
-            meets_aside: cython.double = aside - min(along, 0.0) * tan(angle)
-            wall_length: cython.double = opening.left if meets_aside * sign > 0.0 else opening.right
-            leads_in: cython.bint = fabs(meets_aside) < opening.half and along > -_way.max_ahead
-            leads_to_wall: cython.bint = (
-                along > -_way.wall_distance and fabs(meets_aside) < wall_length
-            )
-            distance: cython.double = hypot(min(along, 0.0), aside)
+            meets_aside = aside - min(along, 0.0) * tan(angle)
+            wall_length = opening.left if meets_aside * sign > 0.0 else opening.right
+            leads_in = fabs(meets_aside) < opening.half and along > -_way.max_ahead
+            leads_to_wall = along > -_way.wall_distance and fabs(meets_aside) < wall_length
+            distance = hypot(min(along, 0.0), aside)
             if (leads_in or leads_to_wall) and distance < nearest:
                 nearest = distance
                 chosen = (opening, sign)
@@ -385,7 +369,7 @@ class RightOfWay:
             return
 
         # 4. Begins with the chosen opening.
-        wanted_yaw: cython.double = self._wanted_yaw
+        wanted_yaw = self._wanted_yaw
         self._release()
         self._wanted_yaw = wanted_yaw
         self._chosen_at = now
@@ -394,7 +378,6 @@ class RightOfWay:
             self._busy_at = now
             self._keep_clear_for = self._rng.uniform(_way.least_passed, _way.most_passed)
 
-    @cython.cfunc
     def _judge_traffic(self, place: _Place, others: list[_PlacedTrack], now: float) -> _Traffic:
         """What the other robots before and in the opening do.
 
@@ -451,7 +434,6 @@ class RightOfWay:
                 is_behind = True  # the track is nearer to the place to line up
         return _Traffic(is_busy, is_behind, is_close, is_queued)
 
-    @cython.cfunc
     def _decide_state(
         self,
         place: _Place,
@@ -494,7 +476,6 @@ class RightOfWay:
         self.state = self._next_state(place, traffic, now)
         return self._request(place, safe_for)
 
-    @cython.cfunc
     def _update_progress(self, place: _Place, now: float) -> None:
         """Set `_is_backing`, and store where and when the robot last made progress."""
         is_stuck = now - max(self._progress_at, self._chosen_at) > _way.stuck
@@ -508,7 +489,6 @@ class RightOfWay:
         self._progress_along = place.along
         self._progress_at = now
 
-    @cython.cfunc
     def _next_state(self, place: _Place, traffic: _Traffic, now: float) -> WayState:
         """The state by the first of eight rules whose condition is true.
 
@@ -558,7 +538,6 @@ class RightOfWay:
         is_at_line_up = place.along > -_way.line_up - _way.nearly_lined_up
         return WayState.LINE if is_at_line_up else WayState.APPROACH
 
-    @cython.cfunc
     def _giving_way(self, place: _Place) -> WayState:
         """Rule 3 where others can pass the robot: it stands. Rule 4 elsewhere: it clears the way.
 
@@ -567,7 +546,6 @@ class RightOfWay:
         self._is_lined_up = False
         return WayState.WAIT if place.leaves_free else WayState.ASIDE
 
-    @cython.cfunc
     def _request(self, place: _Place, safe_for: Allows) -> Twist:
         """The command of the present state at a place in the frame of the opening.
 
@@ -575,8 +553,8 @@ class RightOfWay:
         """
         state = self.state
         if state is WayState.BACK:  # turns the rear to a place on the axis behind, and drives there
-            behind: cython.double = atan2(-place.aside, -_way.back_aim) + PI - place.heading
-            turn: cython.double = min(max(remainder(behind, TURN), -_way.back_turn), _way.back_turn)
+            behind = atan2(-place.aside, -_way.back_aim) + PI - place.heading
+            turn = min(max(remainder(behind, TURN), -_way.back_turn), _way.back_turn)
             return self._fastest(Twist(-_way.back_share * self._speed, turn), safe_for)
         if state is WayState.IN or state is WayState.LINE:
             return self._fastest(self._drive(place.along + _way.pursuit, 0.0, place), safe_for)
@@ -595,13 +573,12 @@ class RightOfWay:
             aside = self._waiting_side * (place.half_width + _way.beside + _way.farther_beside)
             return self._drive(along, aside, place)
         # A robot that waits faces the place where it will line up.
-        bearing: cython.double = atan2(-place.aside, -_way.line_up - place.along) - place.heading
-        error: cython.double = remainder(bearing, TURN)
+        bearing = atan2(-place.aside, -_way.line_up - place.along) - place.heading
+        error = remainder(bearing, TURN)
         if not place.leaves_free or fabs(error) < _way.faces:
             return ZERO
         return Twist(0.0, min(max(_way.gain * error, -_way.facing), _way.facing))
 
-    @cython.cfunc
     def _find_middle(self, place: _Place, points: Points) -> None:
         """Measure `_middle_offset`, the m to the left of the axis at which the middle is.
 
@@ -628,7 +605,6 @@ class RightOfWay:
             measured if offset is None else offset + _way.weight * (measured - offset)
         )
 
-    @cython.ccall
     def _fastest(self, twist: Twist, safe_for: Allows) -> Twist:
         """The command `twist`, slowed to the speed for which protection allows the fastest motion.
 
@@ -649,7 +625,6 @@ class RightOfWay:
                 best = candidate
         return best
 
-    @cython.cfunc
     def _drive(self, goal_along: float, goal_aside: float, place: _Place) -> Twist:
         """The command that drives from `place` to a goal, both in the frame of the opening.
 
@@ -668,15 +643,8 @@ class RightOfWay:
         return Twist(speed * math.pow(max(math.cos(yaw_error), 0.0), 2.0), turn)
 
 
-@cython.cfunc
-@cython.inline
 def _moved(
-    x: cython.double,
-    y: cython.double,
-    base_x: cython.double,
-    base_y: cython.double,
-    c: cython.double,
-    s: cython.double,
+    x: float, y: float, base_x: float, base_y: float, c: float, s: float
 ) -> tuple[cython.double, cython.double]:
     """A place in m in the frame of the odometry; `x`, `y`: in the base frame.
 

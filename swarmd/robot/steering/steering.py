@@ -26,7 +26,7 @@ from swarmd.robot.steering.tracks import ScanReturns, Track, Tracker
 if TYPE_CHECKING:
     from swarmd.robot.protection.protection import ProtectionView
 
-_partial = cython.declare(object, partial)  # a C name, found at once
+_partial = partial  # a C name, found at once
 _CORRIDOR_SPEED_SHARE = 0.95  # of the linear limit: the speed that a recovery corridor must allow
 
 
@@ -41,14 +41,14 @@ class Steering:
     _protection: ProtectionView
     _offset: Any
     _recovery: Recovery | None  # None: this robot is not steered, and has none of the other parts
-    _is_recovering: cython.bint
-    _may_recover: cython.bint  # recovery or avoidance has decided since the last hold
+    _is_recovering: bool
+    _may_recover: bool  # recovery or avoidance has decided since the last hold
     _avoidance: Avoidance
-    _tracker: Tracker = cython.declare(object, visibility="public")
-    must_track = cython.declare(cython.bint, visibility="public")  # kin needs tracks
-    _avoids: cython.bint  # as the platform says
-    _is_avoiding: cython.bint  # as the permit says
-    _has_avoided: cython.bint  # right of way may know openings
+    _tracker: Tracker
+    must_track: bool  # kin needs tracks
+    _avoids: bool  # as the platform says
+    _is_avoiding: bool  # as the permit says
+    _has_avoided: bool  # right of way may know openings
     _odometry: Odometry | None  # the last reading; None without one
     _right_of_way: RightOfWay
 
@@ -84,15 +84,14 @@ class Steering:
         """The tracked objects; None while nothing is tracked."""
         return self._tracker.surroundings(context).tracks if self._is_tracking() else None
 
-    @cython.cfunc
-    def _is_tracking(self) -> cython.bint:
+    def _is_tracking(self) -> bool:
         return self._is_avoiding or (self.must_track and self._recovery is not None)
 
     def steer(
         self,
         requested: Twist | None,
         context: DecisionContext,
-        is_running: cython.bint,
+        is_running: bool,
         hold: Reason | None,
         permit: Permit = NO_PERMIT,
     ) -> Steered | None:
@@ -111,7 +110,7 @@ class Steering:
         if not is_running:
             recovery.set_down()
         clipped = candidate = self._protection.clip(requested)
-        may_move: cython.bint = is_running and hold is None and context.scan_age is not None
+        may_move = is_running and hold is None and context.scan_age is not None
         if not (may_move and permit.may_recover):
             self._end_recovery(recovery)
         else:
@@ -124,10 +123,9 @@ class Steering:
             self._avoided(context) if self._is_avoiding else None,
         )
 
-    @cython.cfunc
-    def _switch_avoidance(self, is_running: cython.bint, permit: Permit) -> None:
+    def _switch_avoidance(self, is_running: bool, permit: Permit) -> None:
         """Switch avoidance on or off by the permit."""
-        is_avoiding: cython.bint = (
+        is_avoiding = (
             is_running
             and permit.may_recover
             and (self._avoids if permit.avoids is None else permit.avoids)
@@ -142,7 +140,6 @@ class Steering:
         self._avoidance.reset()
         self._right_of_way.reset()
 
-    @cython.cfunc
     def _end_recovery(self, recovery: Recovery) -> None:
         """Reset recovery, avoidance and right of way, if they have decided since the last hold."""
         if self._may_recover:
@@ -152,13 +149,8 @@ class Steering:
             self._avoidance.reset()
             self._right_of_way.reset()
 
-    @cython.cfunc
     def _candidate(
-        self,
-        recovery: Recovery,
-        clipped: Twist,
-        context: DecisionContext,
-        touch: TouchZone | None,
+        self, recovery: Recovery, clipped: Twist, context: DecisionContext, touch: TouchZone | None
     ) -> Twist:
         """The command by which right of way, avoidance or recovery replaces a clipped request.
 
@@ -174,7 +166,6 @@ class Steering:
         self._is_recovering = recovery.is_active
         return candidate
 
-    @cython.cfunc
     def _pass_others(
         self,
         recovery: Recovery,

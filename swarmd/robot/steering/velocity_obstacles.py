@@ -14,33 +14,31 @@ from typing import TYPE_CHECKING, Any
 
 from swarmd.core import cython_shadow as cython
 from swarmd.core.buffers import view
-from swarmd.core.cython_shadow import INFINITY, fabs, hypot, sqrt
+from swarmd.core.cython_shadow import INFINITY, Table, fabs, hypot, sqrt
 from swarmd.robot.steering.tracks import Track
 
 if TYPE_CHECKING:
     from swarmd.core.values import Array
 
-_EPSILON = cython.declare(cython.double, 1e-9)
-_ROUNDED_UP = cython.declare(cython.double, 1.0 + 1e-9)  # times a square: more than rounding
+_EPSILON = 1e-9
+_ROUNDED_UP = 1.0 + 1e-9  # times a square: more than rounding
 
 
-@cython.final
 @cython.cclass
 class Line:
     """Velocities to the left of the direction `dx`, `dy` through the point `x`, `y` are allowed."""
 
-    x = cython.declare(cython.double, visibility="readonly")
-    y = cython.declare(cython.double, visibility="readonly")
-    dx = cython.declare(cython.double, visibility="readonly")
-    dy = cython.declare(cython.double, visibility="readonly")
+    x: float
+    y: float
+    dx: float
+    dy: float
 
     def __init__(self, *numbers: float) -> None:
         """Set all numbers, in the order of the attributes."""
         self.x, self.y, self.dx, self.dy = numbers
 
 
-@cython.cfunc
-def _line(x: cython.double, y: cython.double, dx: cython.double, dy: cython.double) -> Line:
+def _line(x: float, y: float, dx: float, dy: float) -> Line:
     """A line, made without objects of Python for its numbers."""
     line: Line = Line.__new__(Line)
     line.x = x
@@ -50,23 +48,21 @@ def _line(x: cython.double, y: cython.double, dx: cython.double, dy: cython.doub
     return line
 
 
-@cython.ccall
-def excess(line: Line, x: cython.double, y: cython.double) -> cython.double:
+def excess(line: Line, x: float, y: float) -> float:
     """By how much the velocity violates a line, in m/s; at most 0 if it does not."""
     return line.dx * (line.y - y) - line.dy * (line.x - x)
 
 
-@cython.ccall
 def line_of(
-    px: cython.double,
-    py: cython.double,
-    vx: cython.double,
-    vy: cython.double,
-    robot_vx: cython.double,
-    robot_vy: cython.double,
-    radius: cython.double,
-    share: cython.double,
-    horizon: cython.double,
+    px: float,
+    py: float,
+    vx: float,
+    vy: float,
+    robot_vx: float,
+    robot_vy: float,
+    radius: float,
+    share: float,
+    horizon: float,
 ) -> Line:
     """The border of the velocities that keep `radius` m away from a place for `horizon` s.
 
@@ -84,22 +80,22 @@ def line_of(
         share: the part of the necessary change of velocity that this robot makes, 0 to 1.
         horizon: s.
     """
-    square: cython.double = max(px * px + py * py, _EPSILON)
+    square = max(px * px + py * py, _EPSILON)
     # A robot nearer than `radius` need not move away, and may pass aside: the circle of `radius`
     # around the place then ends 1 mm before the robot.
     radius = min(radius, max(sqrt(square) - 1e-3, 1e-3))
     # The velocity from the centre of the cap, and its scalar product with the place.
-    from_cap_x: cython.double = vx - px / horizon
-    from_cap_y: cython.double = vy - py / horizon
-    length: cython.double = hypot(from_cap_x, from_cap_y)
-    along: cython.double = from_cap_x * px + from_cap_y * py
+    from_cap_x = vx - px / horizon
+    from_cap_y = vy - py / horizon
+    length = hypot(from_cap_x, from_cap_y)
+    along = from_cap_x * px + from_cap_y * py
     # Below: the direction of the line, and the change of velocity in m/s up to the line.
-    is_cap_nearest: cython.bint = along < 0.0 and along * along > radius * radius * length * length
+    is_cap_nearest = along < 0.0 and along * along > radius * radius * length * length
     if is_cap_nearest:
         # 1. Projects the velocity on the cap: along the ray from the centre of the cap.
-        nx: cython.double = from_cap_x / max(length, _EPSILON)
-        ny: cython.double = from_cap_y / max(length, _EPSILON)
-        off: cython.double = radius / horizon - length
+        nx = from_cap_x / max(length, _EPSILON)
+        ny = from_cap_y / max(length, _EPSILON)
+        off = radius / horizon - length
         dx = ny
         dy = -nx
         change_x = off * nx
@@ -109,36 +105,35 @@ def line_of(
         # tangent from the robot to the circle of `radius` around the place. Left of the line lies
         # what is permitted, so the line along the left leg leads away from the origin of the
         # velocities, and the line along the right leg leads towards the origin.
-        leg: cython.double = sqrt(max(square - radius * radius, 0.0))  # m, of the tangent
-        is_left: cython.bint = px * from_cap_y - py * from_cap_x > 0.0
+        leg = sqrt(max(square - radius * radius, 0.0))  # m, of the tangent
+        is_left = px * from_cap_y - py * from_cap_x > 0.0
         if is_left:
             dx = (px * leg - py * radius) / square
             dy = (px * radius + py * leg) / square
         else:
             dx = -(px * leg + py * radius) / square
             dy = -(py * leg - px * radius) / square
-        speed: cython.double = vx * dx + vy * dy
+        speed = vx * dx + vy * dy
         change_x = speed * dx - vx
         change_y = speed * dy - vy
     return _line(robot_vx + share * change_x, robot_vy + share * change_y, dx, dy)
 
 
-@cython.ccall
 def wall_lines(
     walls: Array,
-    lead: cython.double,
-    robot_vx: cython.double,
-    robot_vy: cython.double,
-    radius: cython.double,
-    reach: cython.double,
-    horizon: cython.double,
+    lead: float,
+    robot_vx: float,
+    robot_vy: float,
+    radius: float,
+    reach: float,
+    horizon: float,
 ) -> list[Line]:
     """A line for each place of `walls` (k, 2) within `reach` m of a point `lead` m ahead."""
-    places: cython.double[:, ::1] = view(walls)
+    places: Table = view(walls)
     lines: list[Line] = []
     for i in range(len(places)):
-        x: cython.double = places[i, 0] - lead
-        y: cython.double = places[i, 1]
+        x = places[i, 0] - lead
+        y = places[i, 1]
         if x * x + y * y < reach * reach:
             lines.append(
                 line_of(x, y, robot_vx, robot_vy, robot_vx, robot_vy, radius, 1.0, horizon)
@@ -146,16 +141,15 @@ def wall_lines(
     return lines
 
 
-@cython.ccall
 def track_lines(
     tracks: tuple[Track, ...],
-    lead: cython.double,
-    robot_vx: cython.double,
-    robot_vy: cython.double,
-    radius: cython.double,
-    share: cython.double,
-    standing_speed: cython.double,
-    horizon: cython.double,
+    lead: float,
+    robot_vx: float,
+    robot_vy: float,
+    radius: float,
+    share: float,
+    standing_speed: float,
+    horizon: float,
 ) -> list[Line]:
     """A line for each track, for a point `lead` m ahead of the axle.
 
@@ -175,8 +169,8 @@ def track_lines(
     track: Track
     lines: list[Line] = []
     for track in tracks:
-        vx: cython.double = track.vx
-        vy: cython.double = track.vy
+        vx = track.vx
+        vy = track.vy
         lines.append(
             line_of(
                 track.x - lead,
@@ -193,27 +187,20 @@ def track_lines(
     return lines
 
 
-@cython.ccall
-def most_violated(
-    lines: list[Line], first: cython.Py_ssize_t, x: cython.double, y: cython.double
-) -> cython.Py_ssize_t:
+def most_violated(lines: list[Line], first: int, x: float, y: float) -> int:
     """The index of the line, from `first` on, that a velocity violates most; -1 without one."""
-    worst: cython.Py_ssize_t = -1
-    worst_excess: cython.double = 0.0
+    worst = -1
+    worst_excess = 0.0
     for i in range(first, len(lines)):
-        line_excess: cython.double = excess(lines[i], x, y)
+        line_excess = excess(lines[i], x, y)
         if line_excess > worst_excess:
             worst = i
             worst_excess = line_excess
     return worst
 
 
-@cython.ccall
 def passage_between(
-    walls: Array,
-    nearest_ahead: cython.double,
-    farthest_ahead: cython.double,
-    farthest_aside: cython.double,
+    walls: Array, nearest_ahead: float, farthest_ahead: float, farthest_aside: float
 ) -> tuple[Any, ...]:
     """The least distance in m between a place of a wall to the left and a place to the right.
 
@@ -222,11 +209,9 @@ def passage_between(
     `walls` (k, 2) in m in the base frame. Only places from `nearest_ahead` to `farthest_ahead` m
     ahead, and within `farthest_aside` m to the side, count.
     """
-    i: cython.Py_ssize_t
-    k: cython.Py_ssize_t
-    places: cython.const_double[:, ::1] = view(walls)
+    places: Table = view(walls)
     best = INFINITY, 0, 0
-    least_width: cython.double = INFINITY
+    least_width = INFINITY
     for i in range(len(places)):
         if not (
             nearest_ahead < places[i, 0] < farthest_ahead and 0.0 < places[i, 1] < farthest_aside
@@ -237,24 +222,19 @@ def passage_between(
                 nearest_ahead < places[k, 0] < farthest_ahead
                 and -farthest_aside < places[k, 1] <= 0.0
             ):
-                dx: cython.double = places[i, 0] - places[k, 0]
-                dy: cython.double = places[i, 1] - places[k, 1]
+                dx = places[i, 0] - places[k, 0]
+                dy = places[i, 1] - places[k, 1]
                 if dx * dx + dy * dy > _ROUNDED_UP * least_width * least_width:
                     continue  # certainly wider: saves most calls of hypot
-                width: cython.double = hypot(dx, dy)
+                width = hypot(dx, dy)
                 if width < least_width:
                     least_width = width
                     best = (width, i, k)
     return best
 
 
-@cython.ccall
 def nearest(
-    lines: list[Line],
-    wall_count: cython.Py_ssize_t,
-    x: cython.double,
-    y: cython.double,
-    max_speed: cython.double,
+    lines: list[Line], wall_count: int, x: float, y: float, max_speed: float
 ) -> tuple[cython.double, cython.double]:
     """The velocity nearest to `x`, `y` that satisfies all lines, of at most `max_speed` m/s.
 
@@ -263,25 +243,21 @@ def nearest(
     """
     programme: _Programme = _Programme()
     programme.max_speed = max_speed
-    solved_count: cython.Py_ssize_t = programme.solve(lines, x, y, False)
+    solved_count = programme.solve(lines, x, y, False)
     if solved_count < len(lines):
         programme.relax(lines, wall_count, solved_count)
     return programme.x, programme.y
 
 
-@cython.final
 @cython.cclass
 class _Programme:
     """A linear programme: the velocity `x`, `y` within lines and a circle of radius `max_speed`."""
 
-    max_speed: cython.double
-    x: cython.double
-    y: cython.double
+    max_speed: float
+    x: float
+    y: float
 
-    @cython.cfunc
-    def solve(
-        self, lines: list[Line], x: cython.double, y: cython.double, is_direction: cython.bint
-    ) -> cython.Py_ssize_t:
+    def solve(self, lines: list[Line], x: float, y: float, is_direction: bool) -> int:
         """Set the best velocity that satisfies the lines, and return how many lines it satisfies.
 
         The best velocity is the nearest to `x`, `y`; or, if `is_direction`, the farthest in the
@@ -290,8 +266,8 @@ class _Programme:
         with the lines before.
         """
         line: Line
-        max_speed: cython.double = self.max_speed
-        length: cython.double = hypot(x, y)
+        max_speed = self.max_speed
+        length = hypot(x, y)
         if is_direction:
             self.x = x * max_speed
             self.y = y * max_speed
@@ -307,15 +283,9 @@ class _Programme:
                 return i
         return len(lines)
 
-    @cython.cfunc
     def _place(
-        self,
-        lines: list[Line],
-        line_count: cython.Py_ssize_t,
-        x: cython.double,
-        y: cython.double,
-        is_direction: cython.bint,
-    ) -> cython.bint:
+        self, lines: list[Line], line_count: int, x: float, y: float, is_direction: bool
+    ) -> bool:
         """Set the best velocity on a line that satisfies all lines before; False if none does.
 
         The line has the index `line_count`, and `lines` before are satisfied so far. The best
@@ -326,20 +296,20 @@ class _Programme:
         other: Line
 
         # 1. The part of the line, from `low` to `high`, within the circle of the greatest speed.
-        along_line: cython.double = line.x * line.dx + line.y * line.dy
-        half_chord_square: cython.double = along_line * along_line + self.max_speed * self.max_speed
+        along_line = line.x * line.dx + line.y * line.dy
+        half_chord_square = along_line * along_line + self.max_speed * self.max_speed
         half_chord_square = half_chord_square - line.x * line.x - line.y * line.y
         if half_chord_square < 0.0:
             return False
-        half_chord: cython.double = sqrt(half_chord_square)
-        low: cython.double = -along_line - half_chord
-        high: cython.double = -along_line + half_chord
+        half_chord = sqrt(half_chord_square)
+        low = -along_line - half_chord
+        high = -along_line + half_chord
 
         # 2. Each line before cuts this part off on one side.
         for i in range(line_count):
             other = lines[i]
-            cross: cython.double = line.dx * other.dy - line.dy * other.dx
-            offset: cython.double = other.dx * (line.y - other.y) - other.dy * (line.x - other.x)
+            cross = line.dx * other.dy - line.dy * other.dx
+            offset = other.dx * (line.y - other.y) - other.dy * (line.x - other.x)
             if fabs(cross) <= _EPSILON:  # parallel: the line before permits all positions or none
                 if offset < -_EPSILON:
                     return False
@@ -354,7 +324,6 @@ class _Programme:
                 return False
 
         # 3. The best position in this part.
-        position: cython.double
         if is_direction:
             position = high if x * line.dx + y * line.dy > 0.0 else low
         else:
@@ -363,10 +332,7 @@ class _Programme:
         self.y = line.y + position * line.dy
         return True
 
-    @cython.cfunc
-    def relax(
-        self, lines: list[Line], wall_count: cython.Py_ssize_t, begin: cython.Py_ssize_t
-    ) -> cython.int:
+    def relax(self, lines: list[Line], wall_count: int, begin: int) -> None:
         """Set the velocity that minimises the greatest violation of the lines from `wall_count` on.
 
         The velocity satisfies the first `wall_count` lines. `begin` is the index of the first line
@@ -378,7 +344,7 @@ class _Programme:
         """
         line: Line
         other: Line
-        worst_excess: cython.double = 0.0
+        worst_excess = 0.0
         for i in range(begin, len(lines)):
             line = lines[i]
             if excess(line, self.x, self.y) <= worst_excess:
@@ -388,32 +354,30 @@ class _Programme:
             projected: list[Line] = lines[:wall_count]
             for k in range(wall_count, i):
                 other = lines[k]
-                cross: cython.double = line.dx * other.dy - line.dy * other.dx
-                x: cython.double
-                y: cython.double
+                cross = line.dx * other.dy - line.dy * other.dx
                 if fabs(cross) <= _EPSILON:
                     # Parallel lines. With the same permitted side the violations differ by a
                     # constant, so there is no border. With opposite sides the border is midway.
-                    have_same_side: cython.bint = line.dx * other.dx + line.dy * other.dy > 0.0
+                    have_same_side = line.dx * other.dx + line.dy * other.dy > 0.0
                     if have_same_side:
                         continue
                     x = 0.5 * (line.x + other.x)
                     y = 0.5 * (line.y + other.y)
                 else:  # the border leads through the crossing, at `position` m/s along `line`
-                    position: cython.double = other.dx * (line.y - other.y)
+                    position = other.dx * (line.y - other.y)
                     position = (position - other.dy * (line.x - other.x)) / cross
                     x = line.x + position * line.dx
                     y = line.y + position * line.dy
                 # To the left of this direction `other` is violated less than `line`.
-                dx: cython.double = other.dx - line.dx
-                dy: cython.double = other.dy - line.dy
-                length: cython.double = max(hypot(dx, dy), _EPSILON)
+                dx = other.dx - line.dx
+                dy = other.dy - line.dy
+                length = max(hypot(dx, dy), _EPSILON)
                 projected.append(_line(x, y, dx / length, dy / length))
 
             # 2. The velocity farthest to the permitted side, in the direction of the left normal of
             # the line. By rounding, `solve` may fail: the previous velocity then stays.
-            previous_x: cython.double = self.x
-            previous_y: cython.double = self.y
+            previous_x = self.x
+            previous_y = self.y
             if self.solve(projected, -line.dy, line.dx, True) < len(projected):
                 self.x = previous_x
                 self.y = previous_y

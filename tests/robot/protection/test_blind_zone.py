@@ -31,7 +31,7 @@ class Memory:
 
     def __init__(self) -> None:
         self._paths = [
-            kernel.BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD) for kernel in FORMS
+            kernel.HiddenObstacles(JACKAL.scan.range_min, SPEED, PERIOD) for kernel in FORMS
         ]
 
     def update(

@@ -62,7 +62,7 @@ def test_lost_rays_have_the_range_that_was_measured_nearest_to_their_direction(
         (2 * PACKET_RAYS, 2.0, False, 2.0),  # two lost packets
         (2 * PACKET_RAYS + 1, 2.0, False, math.inf),  # an obstacle in the blind zone may hide these
         (2 * PACKET_RAYS + 1, 1.0, False, 1.0),  # too near to be left out
-        (2 * PACKET_RAYS + 1, 2.0, True, 2.0),  # no other memory of the blind zone
+        (2 * PACKET_RAYS + 1, 2.0, True, 2.0),  # no other knows of the blind zone
     ],
 )
 def test_a_long_run_of_zeros_over_far_returns_has_no_return(

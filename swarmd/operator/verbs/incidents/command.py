@@ -52,7 +52,7 @@ class _IncidentGroup(VerbGroup):
 def incidents(options: CommonOptions) -> None:
     """List incidents: what went wrong on a robot, and which robots keep their last minute of it.
 
-    Each robot keeps its last minute in memory, and writes it to its disk when an incident begins on
+    Each robot keeps its last minute in RAM, and writes it to its disk when an incident begins on
     any robot. `swarmctl incidents tb3-02` lists those of a robot, `swarmctl incidents 3fa2` shows
     what each robot keeps of the one whose id begins so. The newest is the last. A row `as tb3-05
     says` has words of a robot that contradict those of the others.

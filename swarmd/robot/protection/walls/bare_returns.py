@@ -15,7 +15,7 @@ hold in this scan. The numbers are those of the method that tests the condition.
    ray, or at the end of a stretch, is bare.
 4. `_deny_returns`, `_deny_hidden`. Nothing that is not of the run lies within `extent` m
    (`unseen_extent`) of the return: no return at any range, no remembered ray, no return too close
-   to measure, no obstacle in the memory of the blind zone. Of a return the far side of a head
+   to measure, no obstacle hidden in the blind zone. Of a return the far side of a head
    counts, too, and its shadow, in which another body may stand. Places that others told are
    compared where the constraints are made (`ToldPlaces`).
 5. `_deny_unmeasured`. No sector of rays without a measurement, in which a part of _PART m may stand
@@ -389,7 +389,7 @@ class BareReturns:
                 )
 
     def _deny_hidden(self, run: Run, runs: StraightRuns, hidden: Table) -> None:
-        """Deny candidates near an obstacle in the memory of the blind zone.
+        """Deny candidates near an obstacle hidden in the blind zone.
 
         The obstacle is between its least distance from the lidar and `range_min`.
         """

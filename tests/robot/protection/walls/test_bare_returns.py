@@ -588,7 +588,7 @@ def test_a_wall_that_bends_is_bare_from_a_radius_of_ten_metres_on(
 
 
 class Remembered:
-    """A memory of the blind zone with one obstacle, `nearest` m from the lidar."""
+    """The blind zone with one hidden obstacle, `nearest` m from the lidar."""
 
     def __init__(self, bearing: float, nearest: float) -> None:
         self.bearings = np.array([bearing])
