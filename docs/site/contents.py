@@ -39,7 +39,7 @@ INNER = {
     "patterns/README": [
         f"patterns/{page.parent.name}/page" for page in sorted(_ROOT.glob("patterns/*/page.md"))
     ],
-    "docs/experiments": ["docs/benchmark_suite"],
+    "docs/experiments": _inside("docs", "writing_experiments", "cluster", "benchmark_suite"),
     "docs/from_ros2swarm": ["docs/from_argos", "docs/ros2_nodes"],
     "docs/patterns": ["docs/push"],
     "docs/trouble": ["docs/problems"],
