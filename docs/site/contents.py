@@ -44,6 +44,7 @@ INNER = {
     "docs/patterns": ["docs/push"],
     "docs/trouble": ["docs/problems"],
     "docs/operating": ["docs/drive"],
+    "docs/security": _inside("docs", "permits", "files_of_others"),
     "docs/safety": ["docs/failures", "docs/mixed_swarms", "docs/walls"],
     "docs/python": ["docs/agents", "AGENTS"],
     "docs/robots/README": [
