@@ -43,7 +43,7 @@ INNER = {
     "docs/from_ros2swarm": ["docs/from_argos", "docs/ros2_nodes"],
     "docs/patterns": ["docs/push"],
     "docs/trouble": ["docs/problems"],
-    "docs/operating": ["docs/drive"],
+    "docs/operating": _inside("docs", "goals", "drive", "looking_after", "simulated_swarms"),
     "docs/security": _inside("docs", "permits", "files_of_others"),
     "docs/safety": ["docs/failures", "docs/mixed_swarms", "docs/walls"],
     "docs/python": ["docs/agents", "AGENTS"],
