@@ -47,6 +47,7 @@ INNER = {
     "docs/security": _inside("docs", "permits", "files_of_others"),
     "docs/safety": ["docs/failures", "docs/mixed_swarms", "docs/walls"],
     "docs/python": ["docs/agents", "AGENTS"],
+    "docs/ros": _inside("docs", "ros_commands", "last_word"),
     "docs/robots/README": [
         *_inside("docs/robots", "burger", "waffle_pi", "turtlebot4", "jackal", "rosbot_xl"),
         *_inside("docs/robots", "thymio", "epuck2", "crazyflie", "new_robot", "calibration"),

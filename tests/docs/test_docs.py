@@ -80,7 +80,7 @@ KEY_PAGES: dict[type[Struct], tuple[str, ...]] = {
     **dict.fromkeys(FILES, ("configuration.md",)),
     PlatformFile: ("configuration.md", "walls.md", "mixed_swarms.md", "reference/platforms.md"),
     **dict.fromkeys((ScenarioFile, Realism), ("configuration.md", "reference/scenarios.md")),
-    **dict.fromkeys((RmwOptions, Ros1Options), ("configuration.md", "ros.md")),
+    **dict.fromkeys((RmwOptions, Ros1Options), ("configuration.md", "ros.md", "ros_commands.md")),
     MissionFile: ("missions.md",),
     CrazyflieOptions: ("configuration.md", "robots/crazyflie.md"),
 }
