@@ -20,7 +20,7 @@ from swarmd.testing.driver_contract import DetachableRig, Rig, ScriptedRig
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = ROOT / "docs" / "robots"
 GENERAL = ("README.md", "new_robot.md", "calibration.md")
-LAST_WORD = "](../ros.md#the-last-word-on-the-command-topic)"
+LAST_WORD = "](../last_word.md#the-last-word-on-the-command-topic)"
 BLOCK = re.compile(r"^```yaml\n(.*?)^```", re.MULTILINE | re.DOTALL)
 
 
@@ -122,7 +122,7 @@ def test_each_page_names_the_page_on_the_last_word_once() -> None:
 
 def test_the_multiplexer_gives_swarmd_the_last_word() -> None:
     """A lock masks the inputs of a lower priority (twist_mux)."""
-    driver, block = blocks("../ros.md", "The last word on the command topic")
+    driver, block = blocks("../last_word.md")
     mux = yaml.safe_load(block)
     priorities = {name: topic["priority"] for name, topic in mux["topics"].items()}
     assert priorities["swarmd"] == max(priorities.values())

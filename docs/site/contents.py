@@ -39,13 +39,15 @@ INNER = {
     "patterns/README": [
         f"patterns/{page.parent.name}/page" for page in sorted(_ROOT.glob("patterns/*/page.md"))
     ],
-    "docs/experiments": ["docs/benchmark_suite"],
+    "docs/experiments": _inside("docs", "writing_experiments", "cluster", "benchmark_suite"),
     "docs/from_ros2swarm": ["docs/from_argos", "docs/ros2_nodes"],
     "docs/patterns": ["docs/push"],
     "docs/trouble": ["docs/problems"],
-    "docs/operating": ["docs/drive"],
+    "docs/operating": _inside("docs", "goals", "drive", "looking_after", "simulated_swarms"),
+    "docs/security": _inside("docs", "permits", "files_of_others"),
     "docs/safety": ["docs/failures", "docs/mixed_swarms", "docs/walls"],
     "docs/python": ["docs/agents", "AGENTS"],
+    "docs/ros": _inside("docs", "ros_commands", "last_word"),
     "docs/robots/README": [
         *_inside("docs/robots", "burger", "waffle_pi", "turtlebot4", "jackal", "rosbot_xl"),
         *_inside("docs/robots", "thymio", "epuck2", "crazyflie", "new_robot", "calibration"),

@@ -254,7 +254,7 @@ def _commands(dds: Ros2Dds) -> Iterator[Row]:
     yield (
         check("last_word", scans({}), foreign_commands=87),
         "two publishers: a joystick, navigation, a second daemon",
-        "end it, or give swarmd [the last word](ros.md#the-last-word-on-the-command-topic)",
+        "end it, or give swarmd [the last word](last_word.md#the-last-word-on-the-command-topic)",
     )
     yield (
         action(),
@@ -407,7 +407,7 @@ def ros1() -> Iterator[Row]:
     yield (
         also_published("/cmd_vel", ["/teleop"], is_heard=False),
         "two publishers, active or not",
-        "end it, or share the base as [The last word](ros.md#the-last-word-on-the-command-topic)"
+        "end it, or share the base as [The last word](last_word.md#the-last-word-on-the-command-topic)"
         " shows",
     )
 

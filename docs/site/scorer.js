@@ -2,7 +2,8 @@
    pages, the reference, and the evidence. */
 const FIRST = {
   'docs/operating': 5, 'docs/experiments': 5, 'docs/security': 4, 'docs/patterns': 3, 'docs/trouble': 3,
-  'docs/installation': 2,
+  'docs/installation': 2, 'docs/writing_experiments': 4, 'docs/goals': 3, 'docs/looking_after': 3, 'docs/permits': 3,
+  'docs/ros_commands': 2, 'docs/last_word': 2,
 };
 const EVIDENCE =
   /^(docs\/(evidence|architecture)\/|docs\/(paper|ros_faults)$|benchmarks\/|studies\/|ARCHITECTURE$|CONTRIBUTING$|CHANGELOG$)/;

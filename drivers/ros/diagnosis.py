@@ -30,7 +30,7 @@ from swarmd.robot.sensing.scan_content import ScanContent
 from swarmd.robot.sensing.scan_delay_finding import scan_delay_finding
 from swarmd.robot.timeouts import ODOMETRY_TIMEOUT
 
-LAST_WORD = "docs/ros.md, The last word"
+LAST_WORD = "docs/last_word.md"
 ENOUGH_MESSAGES = 5
 MIN_CHECK_TIME = 1.0
 WAKE_TIME = 12.0

@@ -11,7 +11,7 @@
         source: "ours: no detours"
 
 `swarmctl exp run outcomes.yaml` does the runs, and `swarmctl exp check` judges them. The page is
-docs/experiments.md, "Outcomes".
+docs/writing_experiments.md, "Outcomes".
 
 The rows of a file are read here, the values of runs are compared with them, and nothing else:
 `simulate` does the runs, each kind of them an experiment of its own.

@@ -59,6 +59,7 @@ PAGES = sorted(
 # Of the forge alone: on the site they have no place.
 TEMPLATES = sorted((ROOT / ".github").rglob("*.md"))
 LINK = re.compile(r"\]\(([^)#\s]*)(?:#([^)\s]+))?\)")
+FORMER = re.compile(r'<a id="([\w-]+)"></a>\[[^\]]+\]\(([^)#\s]+)#([\w-]+)\)')
 IMAGE = re.compile(r'<(?:img|source|video)[^>]* src="([^"]+)"')
 TARGET = re.compile(r"^make(?: [A-Z]+=\S+)* ([a-z0-9-]+)", re.MULTILINE)
 FILE = re.compile(r"# (\w+\.(?:py|yaml))\n")
@@ -79,7 +80,7 @@ KEY_PAGES: dict[type[Struct], tuple[str, ...]] = {
     **dict.fromkeys(FILES, ("configuration.md",)),
     PlatformFile: ("configuration.md", "walls.md", "mixed_swarms.md", "reference/platforms.md"),
     **dict.fromkeys((ScenarioFile, Realism), ("configuration.md", "reference/scenarios.md")),
-    **dict.fromkeys((RmwOptions, Ros1Options), ("configuration.md", "ros.md")),
+    **dict.fromkeys((RmwOptions, Ros1Options), ("configuration.md", "ros.md", "ros_commands.md")),
     MissionFile: ("missions.md",),
     CrazyflieOptions: ("configuration.md", "robots/crazyflie.md"),
 }
@@ -175,6 +176,20 @@ def test_links_lead_to_files_and_headings() -> None:
             file = page.parent / to if to else page
             if not file.exists() or (anchor and anchor not in anchors(file)):
                 wrong.append(f"{name_of(page)}: {to}#{anchor}")
+    assert wrong == []
+
+
+def test_a_former_place_of_a_heading_leads_to_it() -> None:
+    """Its anchor, in front of a link; links of pages and texts of others have it."""
+    former = [(page, *found) for page in PAGES for found in FORMER.findall(page.read_text())]
+    assert ("docs/experiments.md", "scenarios") in {
+        (name_of(page), one) for page, one, *_ in former
+    }
+    wrong = [
+        f"{name_of(page)}: {anchor}"
+        for page, anchor, to, heading in former
+        if anchor in anchors(page) or heading not in anchors(page.parent / to)
+    ]
     assert wrong == []
 
 

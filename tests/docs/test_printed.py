@@ -108,7 +108,7 @@ payload = b"1" + msgpack.packb({"state": "idle"})
 """,
 }
 """What each snippet of a page takes for granted."""
-LIVE = frozenset({"docs/python.md", "docs/zenoh.md"})
+LIVE = frozenset({"docs/drive.md", "docs/python.md", "docs/zenoh.md"})
 """Pages whose snippets need robots."""
 HINT = f"output stands in a `text` block below its commands, or has the mark {EXAMPLE} above it:"
 
@@ -210,6 +210,7 @@ def test_cheap_output_of_a_page_is_that_of_its_commands(page: str, reader: Reade
 
 
 @pytest.mark.evidence
+@pytest.mark.integration
 @pytest.mark.parametrize("page", with_printed(short=False))
 def test_output_of_a_page_is_that_of_its_commands(page: str, reader: Reader) -> None:
     compare(page, reader, printed_of(page, short=False))
@@ -238,6 +239,7 @@ def test_definitions_of_a_page_are_python(page: str, reader: Reader) -> None:
 
 
 @pytest.mark.evidence
+@pytest.mark.integration
 @pytest.mark.parametrize("page", with_snippets(short=False))
 def test_snippets_of_a_page_run(page: str, reader: Reader) -> None:
     for command in FIRST.get(page, ()):

@@ -102,7 +102,7 @@ def test_a_reason_is_cut_and_stays_in_its_line() -> None:
 
 
 def test_a_flood_is_cut_and_each_topic_has_its_own_limit() -> None:
-    """Ten messages at once and ten a second, as docs/ros.md says."""
+    """Ten messages at once and ten a second, as docs/ros_commands.md says."""
     door = Door()
     taken = [door.hear(STOP, b"x", now=0.001 * n) for n in range(1000)]
     assert taken[:10] == [True] * 10

@@ -1,7 +1,7 @@
 """Files of others: whatever they hold, none of their code runs unless the user says so.
 
 A hostile file holds code that makes a canary, and each test also shows that the code is armed. The
-table "Files of others" in docs/security.md says what of each kind of file can run, and names the
+table "Files of others" in docs/files_of_others.md says what of each kind of file can run, and names the
 tests of pictures, checkouts, benchmark tasks and guests in a class check.
 """
 
@@ -413,7 +413,7 @@ def test_a_scenario_runs_the_patterns_of_its_folder_and_nothing_else(scene: Scen
     load_scenario(path)
     assert not scene.canary.exists()
     scene.write("duo/plugins/moody.py", scene.code + MOODY)
-    scene.assert_armed(lambda: load_scenario(path))  # as docs/security.md says
+    scene.assert_armed(lambda: load_scenario(path))  # as docs/files_of_others.md says
 
 
 NOTEBOOK = ("exp run", "exp view", "exp measure", "replay", "plugin check", "mission check")

@@ -1,4 +1,4 @@
-"""What a permit permits, by the table of docs/security.md."""
+"""What a permit permits, by the table of docs/permits.md."""
 
 from __future__ import annotations
 

@@ -374,7 +374,7 @@ def test_parts_are_run_apart_and_joined(tmp_path: Path, duo: Path, swarmctl: Swa
 def test_the_job_script_of_the_documentation_runs_every_part(
     tmp_path: Path, duo: Path, swarmctl: Swarmctl
 ) -> None:
-    text = (Path(__file__).parents[3] / "docs" / "experiments.md").read_text()
+    text = (Path(__file__).parents[3] / "docs" / "cluster.md").read_text()
     (script,) = [block for block in text.split("```") if block.lstrip().startswith("#!/bin/bash")]
     assert script.count("aggregation --seeds 2000") == 1
     job = tmp_path / "gather.sh"

@@ -176,7 +176,7 @@ def page_of_outcomes(folder: Path, block: str) -> None:
 
 
 def test_the_scenarios_on_the_page_about_scenarios_are_some(tmp_path: Path) -> None:
-    page = Path(__file__).parents[3] / "docs" / "experiments.md"
+    page = Path(__file__).parents[3] / "docs" / "writing_experiments.md"
     blocks = re.findall(r"^```yaml\n(.*?)^```", page.read_text(), re.MULTILINE | re.DOTALL)
     events = []
     for block in blocks:
