@@ -1165,7 +1165,8 @@ def test_a_start_declares_at_most_an_hour_of_work(
 ) -> None:
     """`planned` of a start counts up to an hour, beside the 5 s of every start.
 
-    docs/evidence/security.md says it. The robot knows no stop: one that is later than the start would refuse the start, too.
+    docs/evidence/security.md says it. The robot knows no stop: one that is later than the start
+    would refuse the start, too.
     """
     harness = started() if verb == "reload" else RobotHarness(patterns=PATTERNS)
     if verb == "resume":
