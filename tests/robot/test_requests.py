@@ -1163,7 +1163,8 @@ def test_a_start_of_more_than_five_seconds_is_refused(
 def test_a_start_declares_at_most_an_hour_of_work(
     verb: str, fields: dict[str, Any], stated: str
 ) -> None:
-    """docs/evidence/security.md: `planned` of a start counts up to an hour, beside the 5 s of every start.
+    """docs/evidence/security.md: `planned` of a start counts up to an hour, beside the 5 s of
+    every start.
 
     The robot knows no stop: one that is later than the start would refuse the start, too.
     """
