@@ -407,8 +407,8 @@ def ros1() -> Iterator[Row]:
     yield (
         also_published("/cmd_vel", ["/teleop"], is_heard=False),
         "two publishers, active or not",
-        "end it, or share the base as "
-        "[The last word](last_word.md#the-last-word-on-the-command-topic) shows",
+        "end it, or share the base as"
+        " [The last word](last_word.md#the-last-word-on-the-command-topic) shows",
     )
 
 

@@ -859,6 +859,7 @@ def _bullets(text: str) -> dict[str, str]:
     }
 
 
+@cache
 def _comments(kind: type) -> dict[str, str]:
     """The comment above each field of a class."""
     comments: dict[str, str] = {}

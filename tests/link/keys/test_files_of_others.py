@@ -1,8 +1,8 @@
 """Files of others: whatever they hold, none of their code runs unless the user says so.
 
 A hostile file holds code that makes a canary, and each test also shows that the code is armed. The
-table "Files of others" in docs/files_of_others.md says what of each kind of file can run, and
-names the tests of pictures, checkouts, benchmark tasks and guests in a class check.
+table of docs/files_of_others.md says what of each kind of file can run, and names the tests of
+pictures, checkouts, benchmark tasks and guests in a class check.
 """
 
 from __future__ import annotations
