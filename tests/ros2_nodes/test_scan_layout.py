@@ -60,3 +60,30 @@ def test_a_ray_without_a_return_is_infinite_or_what_the_driver_gives() -> None:
 
 def test_an_empty_scan_has_no_rays() -> None:
     assert laid([], []).ranges.tolist() == []
+
+
+def moved(degrees: list[float], ages: list[float], *, borrowed: int = 0) -> Scan:
+    """A scan that de-skew has returned, with ranges 1, 2, 3 and so on."""
+    ranges = np.arange(1.0, 1.0 + len(degrees))
+    bearings = np.radians(np.array(degrees))
+    return Scan(0, 0.0, ranges, bearings, 0.1, 5.0, np.array(ages), 0.0, borrowed=borrowed)
+
+
+@pytest.mark.parametrize(
+    ("degrees", "ages", "borrowed", "wanted"),
+    [
+        # The robot turns with the sensor: the last ray is nearest to two places.
+        ([0, 62, 124, 186], [0.0, 0.05, 0.1, 0.15], 0, [1, 2, 3, 4]),
+        # It turns against the sensor, and two rays of the scan before fill the sector.
+        ([40, 60, 0, 105, 210, -45], [0.3, 0.3, 0.0, 0.05, 0.1, 0.15], 2, [3, 4, 5, 6]),
+        # The driver's first ray is another one: the nearest in direction.
+        ([90, 170, 250, -20], [0.0, 0.05, 0.1, 0.15], 0, [4, 1, 2, 3]),
+        # The driver has another order.
+        ([0, -80, 170, 80], [0.0, 0.05, 0.1, 0.15], 0, [1, 4, 3, 2]),
+    ],
+)
+def test_the_rays_of_a_moving_robot_stand_where_the_sensor_measured_them(
+    degrees: list[float], ages: list[float], borrowed: int, wanted: list[float]
+) -> None:
+    found = scan_layout(moved(degrees, ages, borrowed=borrowed), ScanTopic(), RING)
+    assert found.ranges.tolist() == wanted
