@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from swarmd.core.values import Odometry, Pose, Scan, ScanSpec, Sweep, Twist
-from swarmd.ros2_nodes.launch_file import ScanTopic
 from swarmd.robot.sensing.deskew import Deskewer
 from swarmd.robot.sensing.odometry_history import OdometryHistory
+from swarmd.ros2_nodes.launch_file import ScanTopic
 from swarmd.ros2_nodes.robot_topics import ScanLayout, scan_layout
 
 RING = np.radians([0.0, 90.0, 180.0, -90.0])
