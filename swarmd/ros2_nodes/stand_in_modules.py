@@ -27,7 +27,7 @@ from swarmd.ros2_nodes.graph import Future, Graph, Owner
 from swarmd.ros2_nodes.message_classes import MessageClasses
 from swarmd.ros2_nodes.node import Node, RobotSide
 from swarmd.ros2_nodes.node_files import NodeFiles
-from swarmd.ros2_nodes.refusal import NotCarriedOver, Spun
+from swarmd.ros2_nodes.refusal import Interrupted, NotCarriedOver, Spun
 from swarmd.ros2_nodes.transforms import tf2_ros
 
 _TIMER = "a callback never waits; use a timer (`create_timer`)"
@@ -547,7 +547,7 @@ def builtins_of(side: RobotSide, files: NodeFiles) -> dict[str, Any]:
     def input_(*_: Any) -> NoReturn:
         side.graph.refuse("input(): a node asks nobody; use a topic or a parameter")
 
-    return {"open": open_, "print": print_, "input": input_}
+    return {"open": open_, "print": print_, "input": input_, "KeyboardInterrupt": Interrupted}
 
 
 # Arrays of one element
