@@ -8,6 +8,7 @@ import io
 import math
 import os
 import random
+import sys
 import threading
 import time as real_time
 import uuid
@@ -313,11 +314,17 @@ def _rclpy(side: RobotSide) -> dict[str, ModuleType]:
             "Parameter": parameters.Parameter,
             "QoSProfile": qos.QoSProfile,
         },
-        "qos": {"QoSProfile": qos.QoSProfile, **policies, **qos.profiles()},
+        "qos": {
+            "QoSProfile": qos.QoSProfile,
+            "QoSPresetProfiles": qos.presets(),
+            **policies,
+            **qos.profiles(),
+        },
         "parameter": {
             "Parameter": parameters.Parameter,
             "ParameterType": type_,
             "PARAMETER_SEPARATOR_STRING": ".",
+            "parameter_value_to_python": parameters.python_value,
         },
         "time": {"Time": side.time, "Duration": side.duration, **clock_types},
         "duration": {"Duration": side.duration},
@@ -339,14 +346,19 @@ def _rclpy(side: RobotSide) -> dict[str, ModuleType]:
         "utilities": {
             "ok": spinning.is_ok,
             "get_default_context": Context,
-            "remove_ros_args": list,
+            "remove_ros_args": _words,
         },
         "timer": {"Timer": object, "Rate": object},
         "publisher": {"Publisher": object},
         "subscription": {"Subscription": object},
         "service": {"Service": object},
         "client": {"Client": object},
-        "signals": {"SignalHandlerOptions": type("SignalHandlerOptions", (), {"NO": 0, "ALL": 1})},
+        "signals": {
+            "SignalHandlerOptions": type(
+                "SignalHandlerOptions", (), {"NO": 0, "SIGINT": 1, "SIGTERM": 2, "ALL": 3}
+            )
+        },
+        "constants": {"S_TO_NS": ros_time.S_TO_NS},
     }
     made = {f"rclpy.{name}": _module(f"rclpy.{name}", **members) for name, members in parts.items()}
     whole = _module(
@@ -368,6 +380,11 @@ def _rclpy(side: RobotSide) -> dict[str, ModuleType]:
         whole.__dict__[name] = made[f"rclpy.{name}"]
     made["rclpy"] = whole
     return made
+
+
+def _words(args: list[str] | None = None) -> list[str]:
+    """The arguments without those of ROS: a node has none."""
+    return list(sys.argv if args is None else args)
 
 
 # Modules of Python
