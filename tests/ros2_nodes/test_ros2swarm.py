@@ -135,8 +135,11 @@ def test_our_rewrite_commands_what_their_node_commands_for_the_same_scan(
 
 @pytest.mark.long
 def test_the_short_form_of_experiment_1_is_that_of_its_row() -> None:
-    """6 s of seed 0 in the arena of 18 x 18 m, as they were on 2026-11-30 with commit 5546128b0."""
+    """6 s of seed 0 in the arena of 18 x 18 m, as they were on 2026-11-30.
+
+    Until rays stood as the sensor measured them, `end` was 1.6105 and `way` 0.6195.
+    """
     task = Task(arena="arena", row="nodes", seed=0, sources=digest(SOURCE.absolute()), duration=6.0)
     found = perform(task).found
     assert found.failure == ""
-    assert (found.end, found.way) == pytest.approx((1.6105, 0.6195), abs=0.01)
+    assert (found.end, found.way) == pytest.approx((1.5820, 0.6294), abs=0.001)
