@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from enum import Enum, IntEnum
-from typing import Any
+from typing import Any, cast
 
 
 class ReliabilityPolicy(IntEnum):
@@ -105,4 +105,4 @@ def presets() -> type[Enum]:
         "PARAMETER_EVENTS": made["qos_profile_parameter_events"],
         "ACTION_STATUS_DEFAULT": made["qos_profile_action_status_default"],
     }
-    return Enum("QoSPresetProfiles", named)
+    return cast("type[Enum]", Enum("QoSPresetProfiles", named))
