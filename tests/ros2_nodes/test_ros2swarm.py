@@ -101,7 +101,7 @@ def test_our_rewrite_commands_what_their_node_commands_for_the_same_scan(
 ) -> None:
     """To the rounding of a `LaserScan`, whose ranges and angles have 32 bits."""
     platform = load_platform("waffle_pi")
-    # A robot that is alone turns by their file; our dispersion stands, as in their release 1.0.
+    # A robot that is alone turns by their file; by default our dispersion stands.
     of_their_file = (("request", {"law": "paper", "angular_if_alone": 1.0}),)
     ours = assemble(
         pattern,
