@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import math
 import os
 
@@ -34,6 +35,8 @@ from swarmd.testing.scans import Disc, scan_of
 
 GOAL = "p50 100 us"
 CALLS = 5000
+SECONDS = 100
+"""Seconds of a robot whose processor time is measured; the first does not count."""
 WARM = 500
 PAPER: Mapping[str, str] = {"law": "paper"}
 SENSING: Sequence[Mapping[str, str]] = ({"sensing": "neighbors"}, {"sensing": "lidar"})
@@ -113,6 +116,36 @@ def pattern_rows(scans: Sequence[Scan]) -> Iterator[Row]:
             yield Row(" ".join(("step of", name, *params.values())), timing, GOAL)
 
 
+def second_rows(scans: Sequence[Scan], launch: str = "") -> Iterator[Row]:
+    """Processor time of ten steps, of which five have a new scan: what a robot takes in a second.
+
+    Of the example of `ros2_nodes` and of native patterns, or of the nodes of `launch` beside them.
+    """
+    known = pattern_names(None)
+    finder = PatternLoader({name: (origin.value, origin.is_file) for name, origin in known.items()})
+    platform = load_platform("waffle_pi")
+    shown: dict[str, tuple[str, Mapping[str, str]]] = {
+        "nodes of the launch file" if launch else "ros2_nodes, its example": (
+            "ros2_nodes",
+            {"launch": launch},
+        ),
+        "attraction, law paper": ("attraction", PAPER),
+        "attraction": ("attraction", {}),
+        "dispersion": ("dispersion", {}),
+    }
+    for title, (name, params) in shown.items():
+        pattern = Subject(finder(name), platform, params).make()
+        inputs = steps(scans, pattern.channels)
+        times = np.empty(SECONDS)
+        for index in range(SECONDS):
+            second = tuple(islice(inputs, 10))
+            start = time.process_time_ns()
+            for one in second:
+                pattern.step(one)
+            times[index] = time.process_time_ns() - start
+        yield Row(title, (times[1:] / 1e9).tolist())
+
+
 def in_an_arena(platform: Platform, count: int) -> list[Scan]:
     """What seven robots see of each other in a room of 6 m, from random places."""
     rng = np.random.default_rng(0)
@@ -126,13 +159,15 @@ def in_an_arena(platform: Platform, count: int) -> list[Scan]:
     return scans
 
 
-def rows() -> Iterator[Row]:
-    yield from pattern_rows(in_an_arena(load_platform("waffle_pi"), 100))
-
-
-def main() -> None:
-    print_table("Pattern steps, 360 rays, hot", rows())
+def main(launch: str = "") -> None:
+    scans = in_an_arena(load_platform("waffle_pi"), 100)
+    if not launch:
+        print_table("Pattern steps, 360 rays, hot", pattern_rows(scans))
+    title = "A robot-second: ten steps, five of them with a new scan, in processor time"
+    print_table(title, second_rows(scans, launch))
 
 
 if __name__ == "__main__":
-    main()
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.steps", description=__doc__)
+    parser.add_argument("--launch", default="", help="the robot-second of these nodes of ROS 2")
+    main(parser.parse_args().launch)

@@ -120,6 +120,10 @@ def referee(
     for one in wanted:
         if one.task not in {Path(name).stem for name in names}:
             raise ConfigError(f"--until {one.text!r}: {one.task} is none of the tasks; add --task")
+    parts = [(one.task, one.folder) for one in wanted]
+    for one, part in zip(wanted, parts, strict=True):
+        if parts.count(part) > 1:
+            raise ConfigError(f"--until {one.text!r} is given twice; keep one")
     values = parse_sets(sets)
     folder = out or new_folder(Path("runs"), (f"referee-{n}" for n in count(1)))
     digest = judging.digest_of(chosen, folder.absolute())
@@ -180,7 +184,7 @@ def referee(
             case = judging.cases_of(scenario, range(most), chosen, (), values)[0]
             results = do_runs(
                 case.plan,
-                folder / case.task / f"until_{until.value}",
+                folder / case.task / until.folder,
                 runner,
                 traces=False,
                 command=command,

@@ -52,6 +52,8 @@ OPEN = "open"
 SAME = "same bits"
 """The verdict of a case whose runs are those of its control, to the last bit."""
 _UNTIL = re.compile(r"\s*(\w+)\s*(>=|<=|>|<)\s*(\S+)\s*")
+_WORDS = {">=": "at_least", "<=": "at_most", ">": "above", "<": "below"}
+"""Comparisons in the names of folders."""
 
 
 class Controller(NamedTuple):
@@ -297,6 +299,11 @@ class Until:
     def requirement(self, metric: Metric) -> str:
         """The requirement with the name of the metric."""
         return f"{metric.name} {self.comparison} {self.value}"
+
+    @property
+    def folder(self) -> str:
+        """The name of the folder of its runs, below that of the task."""
+        return f"until_{_WORDS[self.comparison]}_{self.value}"
 
 
 def parse_until(text: str) -> Until:

@@ -15,7 +15,7 @@ from swarmd.core.errors import PluginError, SwarmError
 from swarmd.kit.mistakes import MAX_TEXT, place_of
 from swarmd.ros2_nodes.message_classes import Message, MessageClasses
 from swarmd.ros2_nodes.qos import QoSProfile
-from swarmd.ros2_nodes.refusal import Ended, NotCarriedOver, Spun, one_line
+from swarmd.ros2_nodes.refusal import Ended, Interrupted, NotCarriedOver, Spun, one_line
 from swarmd.ros2_nodes.ros_time import S_TO_NS
 
 MAX_CALLBACKS = 2_000
@@ -438,13 +438,17 @@ class Graph:
                 result = _finished(result)
         except SystemExit as error:
             raise Ended(f"{owner.name} has ended itself: sys.exit({error.code!r})") from None
+        except Interrupted:
+            raise Ended(f"{owner.name} has ended itself: KeyboardInterrupt") from None
+        except KeyboardInterrupt:  # of the user of this program
+            raise
         except Spun:
             self._refuse_spin(owner)
         except NotCarriedOver as error:
             raise PluginError(f"{owner.name}: {one_line(str(error))}") from error
         except (Ended, PluginError, MemoryError):
             raise
-        except Exception as error:  # a node may raise anything
+        except BaseException as error:  # a node may raise anything
             raise PluginError(f"{owner.name}: {self._refusal_or(error)}") from error
         if self.is_leaving and not was_leaving:  # a bare `except` of the callback has caught Spun
             self._refuse_spin(owner)
@@ -460,7 +464,7 @@ class Graph:
             f"{owner.name}: calls rclpy.spin in a callback; spin once, in main()"
         ) from None
 
-    def _refusal_or(self, error: Exception) -> str:
+    def _refusal_or(self, error: BaseException) -> str:
         if isinstance(error, SwarmError):
             return one_line(str(error))
         return self.refused or described(error)

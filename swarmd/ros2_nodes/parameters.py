@@ -114,6 +114,12 @@ class ParameterValue:
         return f"rcl_interfaces.msg.ParameterValue(type={self.type}, {fields})"
 
 
+def python_value(parameter_value: ParameterValue) -> Any:
+    """The value in a `ParameterValue`; None if it is not set."""
+    field = _FIELDS.get(ParameterType(parameter_value.type))
+    return None if field is None else getattr(parameter_value, field[0])
+
+
 class Parameter:
     """A parameter with its type and value, as `rclpy.parameter.Parameter`."""
 

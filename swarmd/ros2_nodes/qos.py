@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from enum import IntEnum
-from typing import Any
+from enum import Enum, IntEnum
+from typing import Any, cast
 
 
 class ReliabilityPolicy(IntEnum):
@@ -91,3 +91,18 @@ def profiles() -> dict[str, QoSProfile]:
             depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL
         ),
     }
+
+
+def presets() -> type[Enum]:
+    """`QoSPresetProfiles`: the same profiles as `profiles` gives, by the names of the presets."""
+    made = profiles()
+    named = {
+        "UNKNOWN": QoSProfile(),
+        "SYSTEM_DEFAULT": made["qos_profile_system_default"],
+        "SENSOR_DATA": made["qos_profile_sensor_data"],
+        "SERVICES_DEFAULT": made["qos_profile_services_default"],
+        "PARAMETERS": made["qos_profile_parameters"],
+        "PARAMETER_EVENTS": made["qos_profile_parameter_events"],
+        "ACTION_STATUS_DEFAULT": made["qos_profile_action_status_default"],
+    }
+    return cast("type[Enum]", Enum("QoSPresetProfiles", named))

@@ -17,7 +17,15 @@ class Spun(BaseException):
 
 
 class Ended(Exception):
-    """A node has ended itself, by `rclpy.shutdown()` or `sys.exit()`."""
+    """A node has ended itself, by `rclpy.shutdown()`, `sys.exit()` or a KeyboardInterrupt."""
+
+
+class Interrupted(KeyboardInterrupt):
+    """What nodes know as `KeyboardInterrupt`.
+
+    A node that raises it ends its run, and not the program around it. A node that catches it
+    does not catch the interrupt of a user who ends the program.
+    """
 
 
 def one_line(text: str) -> str:

@@ -28,7 +28,7 @@ from swarmd.ros2_nodes.logger import LogLines
 from swarmd.ros2_nodes.message_classes import MessageClasses
 from swarmd.ros2_nodes.node import Node, NodeSetup, RobotSide
 from swarmd.ros2_nodes.node_modules import NodeModules
-from swarmd.ros2_nodes.refusal import Ended, Spun, one_line
+from swarmd.ros2_nodes.refusal import Ended, Interrupted, Spun, one_line
 from swarmd.ros2_nodes.robot_topics import RobotTopics
 from swarmd.ros2_nodes.ros_time import Clock, time_classes
 from swarmd.ros2_nodes.shared_topics import SharedTopics
@@ -150,7 +150,11 @@ class RobotNodes:
             raise PluginError(f"{entry.run}: {one_line(str(error))}") from error
         except SystemExit as error:
             raise PluginError(f"{entry.run}: has ended itself: sys.exit({error.code!r})") from None
-        except Exception as error:  # a node may raise anything
+        except Interrupted:
+            raise PluginError(f"{entry.run}: has ended itself: KeyboardInterrupt") from None
+        except KeyboardInterrupt:  # of the user of this program
+            raise
+        except BaseException as error:  # a node may raise anything
             text = self.graph.refused or described(error)
             raise PluginError(f"{entry.run}: {text}") from error
         if self.graph.refused:

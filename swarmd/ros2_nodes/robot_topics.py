@@ -34,6 +34,8 @@ _READING_FIELDS = (
 """The field of a message that takes a reading: the first of these that it has."""
 _EVEN = 1e-4
 """rad by which the directions of an even scan may differ from their places."""
+_MOST_TURNED = math.pi / 4.0
+"""rad by which de-skew turns the median ray at most: half a scan of 0.2 s at 7 rad/s."""
 _RING = 2.5
 """A scan whose widest gap is less than this times the median gap is a whole turn."""
 
@@ -205,7 +207,8 @@ class RobotTopics:
     def _laser_scan(self, scan: Scan) -> Any:
         """The scan as a driver of ROS publishes it: rays in rising order, from `angle_min` on."""
         message: Any = self._graph.types.kind(LASER_SCAN)()
-        oldest = 0.0 if scan.ages is None else float(scan.ages.max(initial=0.0))
+        ages = None if scan.ages is None else scan.ages[scan.borrowed :]
+        oldest = 0.0 if ages is None else float(ages.max(initial=0.0))
         age = (scan.newest_age or 0.0) + oldest
         self._stamp(message.header, max(0.0, self._graph.now - age), self._scan.frame)
         layout = scan_layout(scan, self._scan, self._platform.scan.bearings)
@@ -258,33 +261,58 @@ def scan_layout(scan: Scan, topic: ScanTopic, nominal: Array) -> ScanLayout:
     """The ranges in rising order of their directions, evenly spaced.
 
     A whole turn begins at the first direction of the platform, `nominal` (m,) in rad, or at
-    `angle_min_deg`; a sector begins at its right end. Where the directions of the scan are not
+    `angle_min_deg`; a sector begins at its right end. A scan that de-skew has corrected for the
+    motion of the robot has the directions that the sensor gave its rays, as a driver of ROS
+    publishes them: each ray then stands in it once. Where the directions of the sensor are not
     even, each place has the range of the ray that is nearest to it in direction.
     """
-    count = len(scan.bearings)
+    bearings, measured = _as_measured(scan, nominal)
+    count = len(bearings)
     if count < 2:
-        return ScanLayout(float(scan.bearings.sum()), 0.0, _with_no_return(scan.ranges, topic))
+        return ScanLayout(float(bearings.sum()), 0.0, _with_no_return(measured, topic))
     full = 2.0 * math.pi
     given = topic.angle_min_deg
     first = float(nominal[0]) if given is None else math.radians(given)
-    turned = np.mod(scan.bearings - first + _EVEN, full) - _EVEN
+    turned = np.mod(bearings - first + _EVEN, full) - _EVEN
     order = np.argsort(turned, kind="stable")
     at = turned[order]
     gaps = np.append(np.diff(at), at[0] + full - at[-1])
     widest = int(gaps.argmax())
-    if gaps[widest] < _RING * float(np.median(gaps)):
+    is_whole_turn = gaps[widest] < _RING * float(np.median(gaps))
+    if is_whole_turn:
         step = full / count
     else:  # a sector, whose first ray is the one behind the widest gap
         order = np.roll(order, -widest - 1)
-        first = float(wrap(scan.bearings[order[0]]))
-        at = np.mod(scan.bearings[order] - first + _EVEN, full) - _EVEN
+        first = float(wrap(bearings[order[0]]))
+        at = np.mod(bearings[order] - first + _EVEN, full) - _EVEN
         step = float(at[-1]) / (count - 1)
-    ranges = scan.ranges[order]
+    ranges = measured[order]
     places = step * np.arange(count)
     if np.abs(at - places).max() > _EVEN:
+        if is_whole_turn:  # the last ray may be the nearest to the first place, and the other way
+            at = np.concatenate(([at[-1] - full], at, [at[0] + full]))
+            ranges = np.concatenate(([ranges[-1]], ranges, [ranges[0]]))
         middles = 0.5 * (at[1:] + at[:-1])
         ranges = ranges[np.searchsorted(middles, places)]
     return ScanLayout(first, step, _with_no_return(ranges, topic))
+
+
+def _as_measured(scan: Scan, nominal: Array) -> tuple[Array, Array]:
+    """Bearings (n,) in rad and ranges (n,) in m of the scan, before de-skew turned its rays.
+
+    De-skew puts rays of the scan before first, and keeps the order of the others. So the ray at an
+    index has the direction of `nominal` (m,) there, if the rays are those of the platform: as many,
+    the newest one, which is not moved, in its place, and most others not far from theirs. A scan
+    with other rays is returned as it is.
+    """
+    bearings = scan.bearings[scan.borrowed :]
+    if scan.ages is None or len(bearings) != len(nominal) or len(nominal) < 2:
+        return scan.bearings, scan.ranges
+    turned = np.abs(np.mod(bearings - nominal + math.pi, 2.0 * math.pi) - math.pi)
+    newest = int(scan.ages[scan.borrowed :].argmin())
+    if turned[newest] > _EVEN or float(np.median(turned)) > _MOST_TURNED:
+        return scan.bearings, scan.ranges
+    return nominal, scan.ranges[scan.borrowed :]
 
 
 def _with_no_return(ranges: Array, topic: ScanTopic) -> Array:

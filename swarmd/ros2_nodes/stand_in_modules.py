@@ -8,6 +8,7 @@ import io
 import math
 import os
 import random
+import sys
 import threading
 import time as real_time
 import uuid
@@ -27,7 +28,7 @@ from swarmd.ros2_nodes.graph import Future, Graph, Owner
 from swarmd.ros2_nodes.message_classes import MessageClasses
 from swarmd.ros2_nodes.node import Node, RobotSide
 from swarmd.ros2_nodes.node_files import NodeFiles
-from swarmd.ros2_nodes.refusal import NotCarriedOver, Spun
+from swarmd.ros2_nodes.refusal import Interrupted, NotCarriedOver, Spun
 from swarmd.ros2_nodes.transforms import tf2_ros
 
 _TIMER = "a callback never waits; use a timer (`create_timer`)"
@@ -313,11 +314,17 @@ def _rclpy(side: RobotSide) -> dict[str, ModuleType]:
             "Parameter": parameters.Parameter,
             "QoSProfile": qos.QoSProfile,
         },
-        "qos": {"QoSProfile": qos.QoSProfile, **policies, **qos.profiles()},
+        "qos": {
+            "QoSProfile": qos.QoSProfile,
+            "QoSPresetProfiles": qos.presets(),
+            **policies,
+            **qos.profiles(),
+        },
         "parameter": {
             "Parameter": parameters.Parameter,
             "ParameterType": type_,
             "PARAMETER_SEPARATOR_STRING": ".",
+            "parameter_value_to_python": parameters.python_value,
         },
         "time": {"Time": side.time, "Duration": side.duration, **clock_types},
         "duration": {"Duration": side.duration},
@@ -339,14 +346,19 @@ def _rclpy(side: RobotSide) -> dict[str, ModuleType]:
         "utilities": {
             "ok": spinning.is_ok,
             "get_default_context": Context,
-            "remove_ros_args": list,
+            "remove_ros_args": _words,
         },
         "timer": {"Timer": object, "Rate": object},
         "publisher": {"Publisher": object},
         "subscription": {"Subscription": object},
         "service": {"Service": object},
         "client": {"Client": object},
-        "signals": {"SignalHandlerOptions": type("SignalHandlerOptions", (), {"NO": 0, "ALL": 1})},
+        "signals": {
+            "SignalHandlerOptions": type(
+                "SignalHandlerOptions", (), {"NO": 0, "SIGINT": 1, "SIGTERM": 2, "ALL": 3}
+            )
+        },
+        "constants": {"S_TO_NS": ros_time.S_TO_NS},
     }
     made = {f"rclpy.{name}": _module(f"rclpy.{name}", **members) for name, members in parts.items()}
     whole = _module(
@@ -368,6 +380,11 @@ def _rclpy(side: RobotSide) -> dict[str, ModuleType]:
         whole.__dict__[name] = made[f"rclpy.{name}"]
     made["rclpy"] = whole
     return made
+
+
+def _words(args: list[str] | None = None) -> list[str]:
+    """The arguments without those of ROS: a node has none."""
+    return list(sys.argv if args is None else args)
 
 
 # Modules of Python
@@ -547,7 +564,7 @@ def builtins_of(side: RobotSide, files: NodeFiles) -> dict[str, Any]:
     def input_(*_: Any) -> NoReturn:
         side.graph.refuse("input(): a node asks nobody; use a topic or a parameter")
 
-    return {"open": open_, "print": print_, "input": input_}
+    return {"open": open_, "print": print_, "input": input_, "KeyboardInterrupt": Interrupted}
 
 
 # Arrays of one element

@@ -140,6 +140,22 @@ def test_a_latched_message_is_the_one_that_was_published(tmp_path: Path) -> None
     assert seen(node_with(tmp_path, text)) == [(0.0, 4), (0.0, 4)]
 
 
+def test_nodes_find_what_rclpy_has_beside_nodes(tmp_path: Path) -> None:
+    """Preset profiles with their depths, arguments without those of ROS, values of parameters."""
+    text = begin(
+        "from rclpy.constants import S_TO_NS",
+        "from rclpy.parameter import parameter_value_to_python",
+        "from rclpy.qos import QoSPresetProfiles",
+        "from rclpy.utilities import remove_ros_args",
+        "self.note(QoSPresetProfiles.SENSOR_DATA.value.depth, S_TO_NS)",
+        "self.note(remove_ros_args(args=['a', '--fast']))",
+        "gain = self.declare_parameter('gain', 0.5).get_parameter_value()",
+        "self.note(parameter_value_to_python(gain))",
+    )
+    found = [one[1:] for one in seen(node_with(tmp_path, text))]
+    assert found == [(5, 1_000_000_000), (["a", "--fast"],), (0.5,)]
+
+
 def test_a_topic_has_one_type(tmp_path: Path) -> None:
     text = begin(
         "from std_msgs.msg import Int32, Float32",

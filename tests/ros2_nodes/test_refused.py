@@ -129,6 +129,7 @@ def test_a_loop_that_waits_for_others_ends(
         ("one", "def main():\n    Node('a')\n", "rclpy.spin"),
         ("one", "def main():\n    while True:\n        rclpy.spin_once(Node('a'))\n", "spin_once"),
         ("one", "import sys\nsys.exit(3)\n", "3"),
+        ("one", "def main():\n    raise KeyboardInterrupt\n", "KeyboardInterrupt"),
         ("one:One", "class One(Node):\n  def __init__(self):\n    pass\n", "no node"),
         ("one:One", "import rclpy.nodes\n", "rclpy.nodes"),
     ],
@@ -147,6 +148,7 @@ def test_what_cannot_start_is_refused_when_the_run_is_loaded(
     ("lines", "named"),
     [
         (("raise RuntimeError('no')",), "RuntimeError"),
+        (("raise GeneratorExit",), "GeneratorExit"),
         (("1 / 0",), "one.py"),
         (("self.out.publish(1.0)",), "geometry_msgs/msg/Twist"),
         (("msg = Twist()", "msg.linear.x = 1"), "float"),
@@ -250,7 +252,12 @@ def test_a_command_that_is_no_number_goes_on_as_that_of_any_pattern(tmp_path: Pa
 
 @pytest.mark.parametrize(
     ("begin", "line"),
-    [("", "rclpy.shutdown()"), ("import sys\n", "sys.exit(0)"), ("", "raise SystemExit")],
+    [
+        ("", "rclpy.shutdown()"),
+        ("import sys\n", "sys.exit(0)"),
+        ("", "raise SystemExit"),
+        ("", "raise KeyboardInterrupt"),
+    ],
 )
 def test_a_node_that_ends_itself_ends_the_run_at_rest(
     tmp_path: Path, begin: str, line: str

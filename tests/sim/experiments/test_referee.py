@@ -195,6 +195,14 @@ def test_a_requirement_names_a_task() -> None:
             parse_until(text)
 
 
+def test_each_requirement_has_a_folder_of_its_own() -> None:
+    """So that the runs and the manifest of one are not those of another."""
+    texts = ["doorway >= 0.3", "doorway <= 0.3", "doorway > 0.3", "doorway < 0.3", "doorway >= 0.4"]
+    folders = [parse_until(text).folder for text in texts]
+    assert len(set(folders)) == len(texts)
+    assert parse_until("doorway>=0.3").folder == folders[0]
+
+
 def test_two_people_get_the_same_bits_in_one_html(
     task: str, turn: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -233,6 +241,7 @@ def test_two_people_get_the_same_bits_in_one_html(
         (["random_walk", "--task", "doorway", "--until", "shelter >= 1"], "shelter"),
         (["random_walk", "--task", "doorway", "--until", "doorway >= x"], "'x'"),
         (["random_walk", "--task", "doorway", "--until", "doorway >= 7"], "between 0 and 1"),
+        (["random_walk", "--until", "doorway > 1", "--until", "doorway>1"], "twice"),
         (["random_walk", "--task", "doorway", "--fault", "smoke"], "smoke"),
         (["foraging", "--task", "doorway"], "fits none"),
         (["no/such.onnx"], "no such file"),
