@@ -430,7 +430,8 @@ class PeerFault(Struct, frozen=True, kw_only=True):
       version may tell further kinds.
     - `by`, `of`: so many of the robots that could tell the fault tell it; for `deaf` they hear
       messages; for `unheard` without the robot with this status.
-    - `since`: s for which it is known.
+    - `since`: s since the beacon before the first message that was missed, or, if only others miss
+      messages, since their beacons tell it.
     """
 
     robot: Name

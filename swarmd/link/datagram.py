@@ -166,13 +166,15 @@ class Beacon(_Datagram, frozen=True, kw_only=True):
     version: Annotated[str, Meta(max_length=32)] = ""  # of the package; only answers have it
     body: BodyReport | None = None  # None from an older version
     number: Number = 0  # counts the beacons to all, so that losses show; 0: sent to one receiver
-    said: Number = 0  # messages of patterns that the instance has sent; not in a farewell
+    said: Number = 0  # messages of patterns that the instance has sent; only in answers
     clock: Milliseconds = 0  # the instance's clock, as `Place.sent`; only in answers
     # Only in an answer to a `Solicit` with `wants_status`: the number of `StatusPart`s that follow.
     # 0: the status is asked for on a link.
     status_parts: Annotated[int, Meta(ge=0, le=255)] = 0
-    # What the robot tells of the messages of others (`hearing.py`): whose messages do not arrive
-    # although beacons tell of them, and of how many robots messages arrive. Only in beacons to all.
+    # Only in beacons to all (`hearing.py`): how many messages of patterns, places and kin reports
+    # the instance has sent; of which robots it misses them although beacons tell of them; and of
+    # how many robots they arrive.
+    sent: Number = 0
     unheard: Annotated[tuple[RobotId, ...], Meta(max_length=MAX_UNHEARD)] = ()
     heard: Annotated[int, Meta(ge=0, le=1024)] = 0
 

@@ -251,6 +251,7 @@ class PeerProtocol:
         self._body = None if settings.body is None else BodyReport.of(settings.body)
         self._sequence = 0
         self._message_sequence = 0
+        self._sent = 0  # messages, places and kin reports
         self._times = BeaconTimes(now)
         self._lists_at = now + self._random.uniform(0.0, 1.0)
         self._solicits_at = [now, now + 0.3]
@@ -359,6 +360,7 @@ class PeerProtocol:
                     body.robot, body.instance
                 ):
                     actions.kin.append(body)
+                    self.hearing.on_message(body.robot, body.instance, now)
         return actions
 
     def wants_ack(self, stop: Stop, source: Address, now: float) -> bool:
@@ -375,6 +377,7 @@ class PeerProtocol:
     def message(self, channel: str, payload: bytes) -> Message:
         """The datagram of a pattern's message."""
         self._message_sequence += 1
+        self._sent += 1
         return Message(
             robot=self.robot,
             instance=self._instance,
@@ -385,12 +388,17 @@ class PeerProtocol:
 
     def place(self, pose: SharedPose, age: float, now: float) -> Place | None:
         """The datagram of the own pose, measured `age` s ago; None if it is not due yet."""
-        return None if self._claim is not None else self._places.place(pose, age, now)
+        if self._claim is not None:
+            return None
+        place = self._places.place(pose, age, now)
+        self._sent += place is not None
+        return place
 
     def kin_report(self, message: KinMessage) -> KinReport | None:
         """The datagram of the own motion; None while this robot claims its id."""
         if self._claim is not None:
             return None
+        self._sent += 1
         return KinReport(robot=self.robot, instance=self._instance, message=message)
 
     def clock_queries(self, now: float) -> list[tuple[Datagram, Address | None]]:
@@ -526,6 +534,7 @@ class PeerProtocol:
     def _on_place(self, place: Place, now: float, actions: PeerActions) -> None:
         """Take the place of a peer that is a member."""
         if place.robot != self.robot and self.membership.knows(place.robot):
+            self.hearing.on_message(place.robot, place.instance, now)
             peer_place = self._places.take(place, now)
             if peer_place is not None:
                 actions.places.append(peer_place)
@@ -566,7 +575,7 @@ class PeerProtocol:
         if is_owner and beacon.number:
             report = Report(frozenset(beacon.unheard), beacon.heard)
             self.hearing.on_beacon(
-                beacon.robot, beacon.instance, beacon.number, beacon.said, report, now
+                beacon.robot, beacon.instance, beacon.number, beacon.sent, report, now
             )
         is_starting = self._claim is not None and bool(beacon.flags & Flag.JOINING)
         if is_starting and len(self._starting) < MAX_MEMBERS:
@@ -835,7 +844,7 @@ class PeerProtocol:
             report = self.hearing.report
             beacon = replace(
                 self._beacon(summary, flags, number=number),
-                said=self._message_sequence,
+                sent=self._sent,
                 unheard=tuple(sorted(report.unheard)),
                 heard=report.heard,
             )

@@ -1,9 +1,9 @@
-"""Which robots are mute or deaf for the messages of patterns, as robots tell one another. Pure.
+"""Which robots are mute or deaf for messages, as robots tell one another. Pure.
 
 A robot cannot know whether its messages arrive, nor whether it misses those of others. Its beacons
-count the messages that its pattern has sent (`Beacon.said`). A receiver that hears these beacons,
-and none of the messages, tells so in its own beacons (`Report`). From the reports of all robots
-each robot names the same faults:
+count what it has sent (`Beacon.sent`): messages of patterns, places and kin reports. A receiver
+that hears these beacons, and none of the messages, tells so in its own beacons (`Report`). From the
+reports of all robots each robot names the same faults:
 
 1. A robot is *mute* if more than half of the others miss its messages, two others at least.
 2. A robot is *deaf* if it misses more robots than it hears, two at least, which are not mute, and
@@ -25,10 +25,9 @@ from msgspec import Struct
 from swarmd.core.messages import DEAF, MUTE, UNHEARD, PeerFault
 from swarmd.link.datagram import MAX_UNHEARD
 
-# A robot's messages are missed after so many messages, beacons and s without any of them. With a
-# share p of all datagrams lost, 20 messages are lost and 5 beacons come with p^20 (1 - p)^5: at
-# most 2 in 100,000.
-MISSED_MESSAGES = 20
+# A robot's messages are missed after so many messages, beacons and s without any of them. A bad
+# link loses beacons and messages alike: docs/evidence/faults.md has the count of false alarms.
+MISSED_MESSAGES = 10
 MISSED_BEACONS = 5
 MISSED_TIME = 5.0
 SILENCE = 3.0
@@ -71,8 +70,8 @@ class _Peer(Struct):
     instance: bytes
     number: int  # of its last beacon to all
     at: float  # s, of that beacon
-    said: int  # messages that it had sent by then
-    said_at: float = -math.inf  # s, when `said` rose last
+    sent: int  # messages that it had sent by then
+    sent_at: float = -math.inf  # s, when `sent` rose last
     counted: int = 0  # messages that it had sent at `counted_at`
     counted_at: float = 0.0  # s, from which missed messages count
     beacons: int = 0  # since `counted_at`
@@ -82,7 +81,7 @@ class _Peer(Struct):
 
     def begin_count(self, now: float) -> None:
         """Count missed messages from now on."""
-        self.counted = self.said
+        self.counted = self.sent
         self.counted_at = now
         self.beacons = 0
 
@@ -94,9 +93,9 @@ class _Peer(Struct):
         """True if beacons tell of messages, and none arrives."""
         return (
             self.beacons >= MISSED_BEACONS
-            and self.said - self.counted >= MISSED_MESSAGES
+            and self.sent - self.counted >= MISSED_MESSAGES
             and now - self.counted_at >= MISSED_TIME
-            and now - self.said_at <= SENDS_FOR
+            and now - self.sent_at <= SENDS_FOR
             and not self.has_message
         )
 
@@ -116,18 +115,18 @@ class Hearing:
         self.faults: tuple[PeerFault, ...] = ()
 
     def on_message(self, robot: str, instance: bytes, now: float) -> None:
-        """Note that a message of a robot's pattern arrived."""
+        """Note that a message, place or kin report of a robot arrived."""
         peer = self._peers.get(robot)
         if peer is not None and peer.instance == instance:
             peer.has_message = True
             peer.heard_at = now
 
     def on_beacon(
-        self, robot: str, instance: bytes, number: int, said: int, report: Report, now: float
+        self, robot: str, instance: bytes, number: int, sent: int, report: Report, now: float
     ) -> None:
         """Note a beacon to all by its number; a copy of an earlier beacon changes nothing.
 
-        `said`: messages that the instance has sent; 0 from an older version. `report`: what it
+        `sent`: messages that the instance has sent; 0 from an older version. `report`: what it
         tells of others.
         """
         peer = self._peers.get(robot)
@@ -135,17 +134,17 @@ class Hearing:
             self._peers.pop(robot, None)
             while len(self._peers) >= MAX_PEERS:
                 del self._peers[min(self._peers, key=lambda name: self._peers[name].at)]
-            peer = self._peers[robot] = _Peer(instance, number, now, said, report=report)
+            peer = self._peers[robot] = _Peer(instance, number, now, sent, report=report)
             peer.begin_count(now)
             return
         if number <= peer.number:
             return
-        is_new_count = peer.has_message or not peer.is_present(now) or said < peer.said
-        if said > peer.said:
-            peer.said_at = now
+        is_new_count = peer.has_message or not peer.is_present(now) or sent < peer.sent
+        if sent > peer.sent:
+            peer.sent_at = now
         peer.number = number
         peer.at = now
-        peer.said = said
+        peer.sent = sent
         peer.report = report
         peer.has_message = False
         if is_new_count:
