@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 from collections.abc import Callable
 
-from swarmd.link.members.hearing import Hearing
+from swarmd.link.members.hearing import Hearing, Report
 from tests.link.virtual_network import VirtualNetwork
 
 Arrives = Callable[[str, str], bool]
@@ -103,6 +103,39 @@ def test_a_minority_names_nobody() -> None:
 def test_a_deaf_and_a_mute_robot_are_both_named() -> None:
     swarm = Swarm("abcdefg", lambda sender, receiver: sender != "b" and receiver != "c").run(9)
     assert swarm.told("a") == {("b", "mute"), ("c", "deaf")}
+
+
+def test_of_three_mute_robots_of_five_none_makes_another_deaf() -> None:
+    swarm = Swarm("abcde", mute("b", "c", "d")).run(9)
+    assert swarm.told("a") == swarm.told("e") == {(name, "mute") for name in "bcd"}
+
+
+def test_a_robot_that_misses_two_and_hears_three_is_not_deaf() -> None:
+    swarm = Swarm("abcdef", lambda sender, receiver: receiver != "a" or sender in "def").run(9)
+    assert swarm.told("a") == {("b", "unheard"), ("c", "unheard")}
+    assert swarm.told("d") == set()
+
+
+def test_a_robot_is_not_deaf_by_the_word_of_one_other() -> None:
+    hearing = Hearing("a")
+    for number in (1, 2):
+        hearing.on_message("b", b"b", 9.0 + number)  # b itself tells nothing
+        hearing.on_beacon("b", b"b", number, 10 * number, Report(), 9.0 + number)
+        deaf_report = Report(frozenset("ab"), 0)
+        hearing.on_beacon("c", b"c", number, 0, deaf_report, 9.0 + number)
+    hearing.on_message("b", b"b", 11.0)
+    hearing.advance(11.0)
+    assert hearing.report == Report(frozenset(), 1)
+    assert hearing.faults == ()
+
+
+def test_many_beacons_and_messages_of_one_second_are_no_evidence() -> None:
+    hearing = Hearing("a")
+    for number in range(20):
+        now = 10.0 + 0.05 * number
+        hearing.on_beacon("b", b"b", number, 10 * number, Report(), now)
+    hearing.advance(11.0)
+    assert hearing.report == Report()
 
 
 def test_five_seconds_of_silence_and_ten_messages_name_and_one_message_clears() -> None:

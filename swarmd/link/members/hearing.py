@@ -139,7 +139,7 @@ class Hearing:
             return
         if number <= peer.number:
             return
-        is_new_count = peer.has_message or not peer.is_present(now) or sent < peer.sent
+        is_new_count = peer.has_message or not peer.is_present(now)
         if sent > peer.sent:
             peer.sent_at = now
         peer.number = number
