@@ -43,6 +43,7 @@ from swarmd.robot import ticker
 from swarmd.robot.latches import LatchRecord
 from swarmd.robot.protection.compatibility import body_of
 from swarmd.robot.setup import EarlierLives, RobotIdentity, RobotSetup
+from swarmd.sim.lockstep.beacons import BEACON_RATE, CHANNEL, ShownBeacon
 from swarmd.sim.lockstep.huge_pages import use_huge_pages
 from swarmd.sim.lockstep.processes import TIMEOUT, RunProcess, run_processes
 from swarmd.sim.lockstep.recorder import LockstepRecorder
@@ -198,6 +199,10 @@ class Lockstep:
         self._ticks = Schedules(np.full(n, 1.0 / TICK), phases)
         self._odometry_due = Schedules(np.array([ODOMETRY_RATE]))
         self._neighbors_due = Schedules(np.full(n, neighbors_rate(self.scenario.radio)), phases)
+        # None: no robot may be mute or deaf, and robots tell nothing of each other's messages.
+        faults = [event.fault for event in self.scenario.events if event.fault is not None]
+        has_radio_fault = any(fault.place == "radio" for fault in faults)
+        self._beacons_due = Schedules(np.full(n, BEACON_RATE), phases) if has_radio_fault else None
         self._record_due = Schedules(np.array([self.scenario.trace_rate]))
         # By the time of the first scan, so that the scans of one step are shared by the processes.
         self._process.share(np.argsort(phases % (1.0 / scan_rates), kind="stable"))
@@ -246,6 +251,7 @@ class Lockstep:
         for row in rows:
             self._silent_at.pop(row, None)
             self.has_daemon[row] = True
+            self._boots[row] += 1
             self.shells[row] = self._shell(row, now) if self._process.owns(row) else None
         self._absent_count -= len(rows)
         for shell in self._present(rows):
@@ -259,6 +265,10 @@ class Lockstep:
         if self._is_mixed:
             self._update_peers(rows)
         self._update_neighbors(range(len(self.shells)))
+
+    def _instance(self, row: int) -> str:
+        """The instance of the last daemon that was started on a robot."""
+        return f"lockstep-{self._boots[row] - 1}"
 
     def _shell(self, row: int, now: float) -> RobotShell:
         robot_id = self.world.ids[row]
@@ -274,10 +284,9 @@ class Lockstep:
             platform=self._platforms[row],
             setup=setup,
             seed=self.seed,
-            instance=f"lockstep-{self._boots[row]}",
+            instance=self._instance(row),
         )
         robot = make_robot(identity, now, EarlierLives(latches=self._latches.get(row)))
-        self._boots[row] += 1
         return RobotShell(row, robot, self._find, self, now)
 
     def end(self, row: int, *, in_order: bool) -> None:
@@ -392,6 +401,9 @@ class Lockstep:
 
     def send(self, row: int, name: str, message: events.Input, now: float) -> None:
         """Send an input of all receivers by radio; no receiver changes it."""
+        shell = self.shells[row]
+        if shell is not None:
+            shell.beacons.sent += 1
         self._flights += self._radio.send(
             row, name, message, now, self.world.poses(), self._boxes()
         )
@@ -467,6 +479,8 @@ class Lockstep:
         self._deliver(now)
         self._sense(now)
         self._tick(now)
+        if self._beacons_due is not None:
+            self._send_beacons(self._beacons_due.due(now), now)
         self.exchange(world.measure_rays)
         if self._record_due.due(now):
             self._recorder.record_instant(now, self.commands, self.shells)
@@ -478,9 +492,15 @@ class Lockstep:
         self._recorder.record_contacts(world.time)
 
     def _deliver(self, now: float) -> None:
-        for receivers, _, _, message in self._radio.due(now):
+        for receivers, sender, _, message in self._radio.due(now):
             # A call for all receivers: a third of the time of a step of each.
             shells = [self.shells[row] for row in receivers]
+            if isinstance(message, ShownBeacon):
+                for shell in filter(None, shells):
+                    shell.beacons.hearing.on_beacon(*message, now)
+                continue
+            if self._beacons_due is not None:
+                self._note_message(sender, filter(None, shells), now)
             robots = [None if shell is None else shell.robot for shell in shells]
             if isinstance(message, events.KinInput):
                 kins = ticker.kin_many(robots, message, now)
@@ -495,6 +515,26 @@ class Lockstep:
                 if shell.row != row:
                     shell.step(events.LatchesInput(latches), now)
         self._update_neighbors(self._neighbors_due.due(now))
+
+    def _note_message(self, row: int, receivers: Iterable[RobotShell], now: float) -> None:
+        """Note which robots a message of a robot reached, whatever they do with it."""
+        sender = self.world.ids[row]
+        instance = self._instance(row).encode()
+        for shell in receivers:
+            shell.beacons.hearing.on_message(sender, instance, now)
+
+    def _send_beacons(self, rows: Sequence[int], now: float) -> None:
+        """Send what these robots tell of messages; faults of the radio let it pass."""
+        shells = self._present(rows)
+        for shell in shells:
+            hearing = shell.beacons.hearing
+            if hearing.advance(now):
+                shell.step(events.PeerFaultsInput(hearing.faults), now)
+            hearers = self._radio.hearers(shell.row, self.world.poses(), self._boxes())
+            if len(hearers):
+                beacon = shell.beacons.next()
+                arrival = now + self.scenario.radio.delay
+                self._flights.append((arrival, 0.0, hearers.tolist(), shell.row, CHANNEL, beacon))
 
     def _update_neighbors(self, rows: Sequence[int]) -> None:
         if not rows:  # the case in most steps

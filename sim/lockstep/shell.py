@@ -29,6 +29,7 @@ from swarmd.pattern_host.runner import InlineRunner
 from swarmd.robot.actions import Actions
 from swarmd.robot.latches import LatchRecord
 from swarmd.robot.robot import Robot
+from swarmd.sim.lockstep.beacons import Beacons
 
 if TYPE_CHECKING:
     from swarmd.sim.lockstep.lockstep import Lockstep
@@ -38,7 +39,8 @@ class RobotShell:
     """Runs one `Robot` with its pattern; hands its outputs to the swarm.
 
     `decided`: the number of scans on which protection decided while the pattern ran. `evaded`: the
-    number of these scans on which protection was active. The recorder resets both.
+    number of these scans on which protection was active. The recorder resets both. `beacons`: used
+    in a scenario with a fault of the radio.
     """
 
     def __init__(self, row: int, robot: Robot, find: Find, outputs: Lockstep, now: float) -> None:
@@ -48,6 +50,7 @@ class RobotShell:
         self.replies: list[Reply] = []
         self.decided = 0
         self.evaded = 0
+        self.beacons = Beacons(robot.id, robot.identity.instance)
         self._outputs = outputs
         self._valued: set[str] = set()  # the kinds of OPTION_INPUTS whose last input had a value
         self._runner = InlineRunner(lambda: PatternExecutor(find))

@@ -22,7 +22,7 @@ from swarmd.core.goal import Goal
 from swarmd.core.hazard import Hazard
 from swarmd.core.host_messages import HostEvent
 from swarmd.core.kin_message import KinMessage
-from swarmd.core.messages import Body, Latch, Reason
+from swarmd.core.messages import Body, Latch, PeerFault, Reason
 from swarmd.core.values import (
     MAX_DETECTIONS,
     Array,
@@ -133,6 +133,12 @@ class PeersInput(Struct, frozen=True, array_like=True, tag="peers"):
     """
 
     bodies: Annotated[dict[str, Body | None], Meta(max_length=MAX_ROBOTS)]
+
+
+class PeerFaultsInput(Struct, frozen=True, array_like=True, tag="peer_faults"):
+    """All present faults of robots, this one among them, that only peers can tell."""
+
+    faults: Annotated[tuple[PeerFault, ...], Meta(max_length=MAX_ROBOTS)]
 
 
 class PlaceInput(Struct, frozen=True, array_like=True, tag="place"):
@@ -272,6 +278,7 @@ Input = (
     | DriverInput
     | MessageInput
     | PeersInput
+    | PeerFaultsInput
     | PlaceInput
     | KinInput
     | LatchesInput

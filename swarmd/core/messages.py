@@ -415,6 +415,47 @@ class PeerFinding(Struct, frozen=True, kw_only=True):
     holds: bool
 
 
+MUTE = "mute"
+DEAF = "deaf"
+UNHEARD = "unheard"
+"""The kinds of `PeerFault`."""
+
+
+class PeerFault(Struct, frozen=True, kw_only=True):
+    """A fault of the robot `robot` that it cannot know of itself: peers tell it.
+
+    - `kind`: `mute`: its beacons arrive and its pattern's messages do not. `deaf`: it hears the
+      beacons of others and not the messages that still others hear. Robots name both by a majority.
+      `unheard`: the robot with this status misses its messages, and no majority tells it. A later
+      version may tell further kinds.
+    - `by`, `of`: so many of the robots that could tell the fault tell it; for `deaf` they hear
+      messages; for `unheard` without the robot with this status.
+    - `since`: s since the beacon before the first message that was missed, or, if only others miss
+      messages, since their beacons tell it.
+    """
+
+    robot: Name
+    kind: Word
+    by: Count
+    of: Count
+    since: Seconds = 0.0
+
+    @property
+    def text(self) -> str:
+        """The fault in words, without its time."""
+        told = f"{self.by} of {self.of}"
+        if self.kind == MUTE:
+            return f"mute: its beacons arrive, and its messages do not at {told} robots"
+        if self.kind == DEAF:
+            return f"deaf: messages do not arrive at it, and arrive at {told} others"
+        if self.kind == UNHEARD:
+            return (
+                f"unheard: its beacons arrive here, and its messages do not; {told} others tell the"
+                " same: one of the two radios is at fault"
+            )
+        return f"{self.kind}: told by {told} robots"
+
+
 class Param(Struct, frozen=True, kw_only=True):
     """The value of a parameter and the layer it comes from."""
 
@@ -454,6 +495,7 @@ class Status(Struct, frozen=True, kw_only=True):
     - `held_for`: for how many s protection has kept a robot in place that asks for motion and has
       free floor ahead or behind; None below 10 s.
     - `driven_by`: the operator who drives the robot by hand; empty without one.
+    - `peer_faults`: faults of robots, this one among them, that only peers can tell.
     """
 
     robot: Name
@@ -502,6 +544,7 @@ class Status(Struct, frozen=True, kw_only=True):
     set_down: Annotated[SetDown | None, shown("Protection", "set down")] = None
     held_for: Annotated[Seconds | None, shown("Protection", "held for", "s")] = None
     driven_by: Annotated[Word, shown("State", "driven by")] = ""
+    peer_faults: tuple[PeerFault, ...] = ()
 
 
 class Motion(Struct, frozen=True, array_like=True):

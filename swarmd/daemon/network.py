@@ -30,6 +30,7 @@ from swarmd.core.events import (
     LatchesInput,
     LeaseInput,
     MessageInput,
+    PeerFaultsInput,
     PlaceInput,
 )
 from swarmd.core.goal import Goal
@@ -602,6 +603,8 @@ class Network:
             self._owner.on_input(PlaceInput(place))
         for report in actions.kin:
             self._owner.on_input(KinInput(report.robot, report.message))
+        if actions.peer_faults is not None:
+            self._owner.on_input(PeerFaultsInput(actions.peer_faults))
 
     def _take_message(self, message: Message) -> None:
         try:

@@ -21,6 +21,7 @@ from swarmd.core.events import (
     Input,
     NeighborsInput,
     OdometryInput,
+    PeerFaultsInput,
     PeersInput,
     ProvisionalInput,
     RangesInput,
@@ -45,7 +46,15 @@ MAX_MEMORY = 10 * MAX_PART
 """The most bytes of a robot's memory that is recorded."""
 
 _LASTING = frozenset(
-    {DriverInput, HazardsInput, NeighborsInput, PeersInput, ProvisionalInput, ReadingsInput}
+    {
+        DriverInput,
+        HazardsInput,
+        NeighborsInput,
+        PeerFaultsInput,
+        PeersInput,
+        ProvisionalInput,
+        ReadingsInput,
+    }
 )
 """Kinds of input that hold until the next one: a recording begins with the last of each."""
 _PERIODIC = frozenset({OdometryInput, NeighborsInput, PeersInput})

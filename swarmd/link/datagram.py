@@ -44,6 +44,7 @@ Address = tuple[str, int]
 MAX_DATAGRAM = 1400
 MAX_TRAILER = 77  # bytes of the longest signature, within MAX_DATAGRAM
 MAX_KINDS = 8  # kinds of records whose digests a beacon shows
+MAX_UNHEARD = 8  # robots that a beacon names as unheard
 MAX_STATUS_PARTS = 8  # datagrams of one status; a greater status is asked for on a link
 STATUS_PART_BYTES = 1200  # within MAX_DATAGRAM with the other fields of a `StatusPart`
 MAX_HOPS = 4  # a stop or a report travels at most this far from robot to robot
@@ -170,6 +171,12 @@ class Beacon(_Datagram, frozen=True, kw_only=True):
     # Only in an answer to a `Solicit` with `wants_status`: the number of `StatusPart`s that follow.
     # 0: the status is asked for on a link.
     status_parts: Annotated[int, Meta(ge=0, le=255)] = 0
+    # Only in beacons to all (`hearing.py`): how many messages of patterns, places and kin reports
+    # the instance has sent; of which robots it misses them although beacons tell of them; and of
+    # how many robots they arrive.
+    sent: Number = 0
+    unheard: Annotated[tuple[RobotId, ...], Meta(max_length=MAX_UNHEARD)] = ()
+    heard: Annotated[int, Meta(ge=0, le=1024)] = 0
 
     def digest(self, kind: RecordKind) -> bytes:
         """The digest of the records of a kind; empty without a record."""

@@ -19,7 +19,7 @@ from msgspec.structs import replace
 from swarmd.core.clock import ClockSample
 from swarmd.core.goal import Goal, HeldGoal, encode_goal
 from swarmd.core.kin_message import KinMessage
-from swarmd.core.messages import Body, Latch, Presence, State
+from swarmd.core.messages import Body, Latch, PeerFault, Presence, State
 from swarmd.core.record import RecordKind
 from swarmd.core.values import PeerPlace, SharedPose
 from swarmd.link.datagram import (
@@ -53,6 +53,7 @@ from swarmd.link.members.admission import Admission
 from swarmd.link.members.answer_budget import AnswerBudget
 from swarmd.link.members.beacon_times import BEACON_PERIOD, BeaconTimes
 from swarmd.link.members.claim import CLAIM_PERIOD, Claim
+from swarmd.link.members.hearing import Hearing, Report
 from swarmd.link.members.lease_freshness import lease_age
 from swarmd.link.members.link_quality import LinkQualities
 from swarmd.link.members.membership import MAX_MEMBERS, Membership
@@ -163,6 +164,8 @@ class PeerActions:
     invalid_goals: int = 0  # goals that their issuer has not signed
     leases: list[HeardLease] = field(default_factory=list)  # leases of operators
     drives: list[Drive] = field(default_factory=list)  # commands of a hand on this robot
+    peer_faults: tuple[PeerFault, ...] | None = None
+    """The faults of robots that peers tell, once they have changed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -223,6 +226,7 @@ class PeerProtocol:
         """Set up the claim of the id, and the state of members and links."""
         self.membership = Membership(settings.robot, settings.lease)
         self.links = LinkQualities(BEACON_PERIOD)
+        self.hearing = Hearing(settings.robot)
         # None once this robot owns its id.
         self._claim: Claim | None = Claim(settings.robot, settings.instance, settings.settle, now)
         self._began = now
@@ -247,6 +251,7 @@ class PeerProtocol:
         self._body = None if settings.body is None else BodyReport.of(settings.body)
         self._sequence = 0
         self._message_sequence = 0
+        self._sent = 0  # messages, places and kin reports
         self._times = BeaconTimes(now)
         self._lists_at = now + self._random.uniform(0.0, 1.0)
         self._solicits_at = [now, now + 0.3]
@@ -343,7 +348,7 @@ class PeerProtocol:
                 if body.robot == self.robot and self._claim is None:
                     actions.drives.append(body)
             case Message():
-                self._on_message(body, actions)
+                self._on_message(body, now, actions)
             case ClockQuery():
                 self._on_clock_query(body, source, now, actions)
             case ClockReply():
@@ -355,6 +360,7 @@ class PeerProtocol:
                     body.robot, body.instance
                 ):
                     actions.kin.append(body)
+                    self.hearing.on_message(body.robot, body.instance, now)
         return actions
 
     def wants_ack(self, stop: Stop, source: Address, now: float) -> bool:
@@ -371,6 +377,7 @@ class PeerProtocol:
     def message(self, channel: str, payload: bytes) -> Message:
         """The datagram of a pattern's message."""
         self._message_sequence += 1
+        self._sent += 1
         return Message(
             robot=self.robot,
             instance=self._instance,
@@ -381,12 +388,17 @@ class PeerProtocol:
 
     def place(self, pose: SharedPose, age: float, now: float) -> Place | None:
         """The datagram of the own pose, measured `age` s ago; None if it is not due yet."""
-        return None if self._claim is not None else self._places.place(pose, age, now)
+        if self._claim is not None:
+            return None
+        place = self._places.place(pose, age, now)
+        self._sent += place is not None
+        return place
 
     def kin_report(self, message: KinMessage) -> KinReport | None:
         """The datagram of the own motion; None while this robot claims its id."""
         if self._claim is not None:
             return None
+        self._sent += 1
         return KinReport(robot=self.robot, instance=self._instance, message=message)
 
     def clock_queries(self, now: float) -> list[tuple[Datagram, Address | None]]:
@@ -422,6 +434,8 @@ class PeerProtocol:
         if now >= self._members_at:
             self._members_at = now + MEMBERS_PERIOD
             self._advance_members(now, actions)
+        if self.hearing.advance(now):
+            actions.peer_faults = self.hearing.faults
         self._times.note_latches(digest_of(summary.latches), now)
         # The beacon goes before the latches: peers compare its digest with that of their latches.
         self._send_beacon_if_due(now, summary, actions)
@@ -503,9 +517,10 @@ class PeerProtocol:
         age = 0.0 if self._admission is None else lease_age(lease, self._instance, now)
         actions.leases.append(HeardLease(lease, age))
 
-    def _on_message(self, message: Message, actions: PeerActions) -> None:
+    def _on_message(self, message: Message, now: float, actions: PeerActions) -> None:
         """Take the message of a peer's pattern, unless its number shows that it is no new one."""
         if message.robot != self.robot:
+            self.hearing.on_message(message.robot, message.instance, now)
             is_new, actions.lost = self._windows.take(message)
             if is_new:
                 actions.messages.append(message)
@@ -519,6 +534,7 @@ class PeerProtocol:
     def _on_place(self, place: Place, now: float, actions: PeerActions) -> None:
         """Take the place of a peer that is a member."""
         if place.robot != self.robot and self.membership.knows(place.robot):
+            self.hearing.on_message(place.robot, place.instance, now)
             peer_place = self._places.take(place, now)
             if peer_place is not None:
                 actions.places.append(peer_place)
@@ -556,6 +572,11 @@ class PeerProtocol:
 
         # A robot owns its id after its claim and before its farewell.
         is_owner = not beacon.flags & (Flag.JOINING | Flag.LEFT)
+        if is_owner and beacon.number:
+            report = Report(frozenset(beacon.unheard), beacon.heard)
+            self.hearing.on_beacon(
+                beacon.robot, beacon.instance, beacon.number, beacon.sent, report, now
+            )
         is_starting = self._claim is not None and bool(beacon.flags & Flag.JOINING)
         if is_starting and len(self._starting) < MAX_MEMBERS:
             self._starting.add(beacon.robot)
@@ -820,7 +841,14 @@ class PeerProtocol:
         number = self._times.number_due(content, now, claim_period=claim_period)
         if number:
             flags = 0 if self._claim is None else Flag.JOINING
-            actions.sends.append((self._beacon(summary, flags, number=number), None))
+            report = self.hearing.report
+            beacon = replace(
+                self._beacon(summary, flags, number=number),
+                sent=self._sent,
+                unheard=tuple(sorted(report.unheard)),
+                heard=report.heard,
+            )
+            actions.sends.append((beacon, None))
 
     def _beacon(
         self, summary: Summary, flags: int = 0, *, echo: int = 0, version: str = "", number: int = 0

@@ -36,6 +36,7 @@ from swarmd.robot.actions import Actions
 from swarmd.robot.goal_handler import GoalHandler
 from swarmd.robot.own_pose import POSE_TIMEOUT
 from swarmd.robot.pattern_run import PatternRun
+from swarmd.robot.peer_faults import PeerFaults
 from swarmd.robot.protection.compatibility import Accepts, longest_diagonal
 from swarmd.robot.protection.decision import Decision
 from swarmd.robot.protection.protection import Protection, ProtectionView
@@ -134,6 +135,7 @@ class Robot(Ticker):
         )
         self._duty = DutyCycle()  # counts the ticks of a run in which protection is active
         self._standing = StandingWatch(platform)
+        self._peer_faults = PeerFaults()
         self._status_watch = StatusWatch(self._lifecycle, self._sensors)
         self._decide(None, now)  # the first decision: zero, since no scan has arrived
 
@@ -265,6 +267,11 @@ class Robot(Ticker):
             self._log.peers(kind, text, names, now)
         self._log.advance(now)
 
+    def _on_peer_faults(self, one: events.PeerFaultsInput, now: float) -> None:
+        for fault in self._peer_faults.take(one.faults, now):
+            self._log.peers(fault.kind, fault.text, [fault.robot], now)
+        self._log.advance(now)
+
     def pose_to_tell(self, now: float) -> tuple[SharedPose, float] | None:
         """The own pose to send to peers, and its highest possible age in s; None: send nothing."""
         return self._sensors.peers.pose_to_tell(now)
@@ -353,6 +360,7 @@ class Robot(Ticker):
             now,
             self._protection,
             self._standing.held_for(now) if self.is_running else None,
+            self._peer_faults.at(now),
         )
 
     def motion(self, now: float) -> Motion | None:
@@ -438,6 +446,7 @@ HANDLERS: dict[type[Input], Callable[[Robot, Any, float], Actions | None]] = {
     events.MessageInput: Robot._on_message,
     events.PeersInput: Robot._on_peers,
     events.KinInput: lambda robot, one, now: robot._sensors.on_kin(one.robot, one.message, now),
+    events.PeerFaultsInput: Robot._on_peer_faults,
     events.PlaceInput: lambda robot, one, now: robot._sensors.on_place(one.place, now),
     # Pattern host, operators and peers
     events.LatchesInput: _settled(

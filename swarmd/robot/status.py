@@ -16,6 +16,7 @@ from swarmd.core.messages import (
     DecisionSummary,
     Health,
     Param,
+    PeerFault,
     Reason,
     Status,
 )
@@ -54,12 +55,14 @@ def make_status(
     now: float,
     protection: Protection,
     held_for: float | None = None,
+    peer_faults: tuple[PeerFault, ...] = (),
 ) -> Status:
     """The status that a robot publishes, in the bounds of the message: long texts are cut.
 
     `duty`: the share of the run's ticks in which protection was active. `now` and all times of the
     lifecycle are in s on the own clock; the status contains durations in s. The daemon adds the
     health of its own loop. `held_for`: see `StandingWatch.held_for`.
+    `peer_faults`: what peers tell of robots.
     """
     identity = lifecycle.identity
     setup = lifecycle.identity.setup
@@ -113,6 +116,7 @@ def make_status(
         set_down=set_down(identity.platform, protection.passage),
         held_for=held_for,
         driven_by=_driver(lifecycle),
+        peer_faults=peer_faults[:MAX_PEERS],
         **_layers(identity.platform, setup.settings, sensors, decision, protection, now),
     )
 

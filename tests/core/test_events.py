@@ -13,7 +13,7 @@ from swarmd.core.goal import Goal
 from swarmd.core.hazard import Hazard, HazardKind
 from swarmd.core.host_messages import HostDied, Loaded, Stepped, TrialDone
 from swarmd.core.kin_message import KinMessage
-from swarmd.core.messages import Body, Epoch, Latch, Reason
+from swarmd.core.messages import Body, Epoch, Latch, PeerFault, Reason
 from swarmd.core.values import Neighbor, Odometry, Outputs, PeerPlace, Pose, Scan, SharedPose, Twist
 from swarmd.core.verbs import StopRequest
 from swarmd.robot import robot
@@ -29,6 +29,7 @@ INPUTS: tuple[events.Input, ...] = (
     events.DriverInput(True, "there", Reason.DRIVER_LOST, True),
     events.MessageInput("b", "vote/opinion", {"value": [1, None, b"x", 0.5]}),
     events.PeersInput({"b": Body(platform="burger", surface_speed=1.0, radius=0.2), "c": None}),
+    events.PeerFaultsInput((PeerFault(robot="b", kind="mute", by=3, of=4, since=2.5),)),
     events.PlaceInput(PeerPlace("b", "hall", 1.0, 2.0, 0.1, 0.5)),
     events.KinInput("b", KinMessage(7, 1000, -5, 5, 0, b"\x04\xb0\xff\xe2", True)),
     events.LatchesInput({"e1": Latch(issuer="anna", scope="swarm")}),

@@ -14,12 +14,13 @@ import pytest
 from swarmd.core.codec import Decoder
 from swarmd.core.events import Input, LeaveInput, NetworkInput, NoteInput, RosterInput
 from swarmd.core.goal import GoalRecord
-from swarmd.core.messages import Code, Reply
+from swarmd.core.messages import Code, PeerFault, Reply
 from swarmd.core.values import ZERO, Twist
 from swarmd.daemon import daemon as daemon_module
 from swarmd.daemon.daemon import Daemon
 from swarmd.daemon.store import LatchFile
 from swarmd.link.datagram import Stop
+from swarmd.link.peer import PeerActions
 from swarmd.robot.latches import LatchRecord
 from swarmd.settings.settings import load_daemon_settings
 from tests.daemon.test_daemon import ESTOP, RecordingDriver
@@ -140,3 +141,15 @@ async def test_without_keys_code_is_taken_on_this_computer_alone(
     """A swarm without keys on a network takes no code, since anyone could send it."""
     daemon = Watched(tmp_path, insecure=True, **values)
     assert daemon._operators() == (None if takes else {})
+
+
+async def test_what_peers_tell_of_robots_reaches_the_status(tmp_path: Path) -> None:
+    daemon = Watched(tmp_path)
+    mute = PeerFault(robot="tb3-02", kind="mute", by=3, of=4, since=6.0)
+    daemon._network._owner = daemon  # as in a run
+    daemon._network._hand_inputs(PeerActions(peer_faults=(mute,)))
+    assert [(one.robot, one.kind) for one in daemon.status().peer_faults] == [("tb3-02", "mute")]
+    daemon._network._hand_inputs(PeerActions())  # no change
+    assert len(daemon.status().peer_faults) == 1
+    daemon._network._hand_inputs(PeerActions(peer_faults=()))
+    assert daemon.status().peer_faults == ()

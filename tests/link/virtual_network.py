@@ -15,7 +15,7 @@ from msgspec.structs import replace
 
 from swarmd.core.clock import ClockSample
 from swarmd.core.goal import Goal
-from swarmd.core.messages import Code, Latch, State
+from swarmd.core.messages import Code, Latch, PeerFault, State
 from swarmd.core.values import PeerPlace
 from swarmd.link.datagram import (
     Ack,
@@ -68,6 +68,7 @@ class Robot:
     kin: list[KinReport] = field(default_factory=list)
     leases: list[HeardLease] = field(default_factory=list)
     drives: list[Drive] = field(default_factory=list)
+    peer_faults: list[PeerFault] = field(default_factory=list)
     goals: Goals = field(default_factory=lambda: Goals("robot", (), None, 0.0))
     wished: float = -math.inf
     reset_at: float = -math.inf
@@ -329,6 +330,7 @@ class VirtualNetwork:
         robot.kin.extend(effects.kin)
         robot.leases.extend(effects.leases)
         robot.drives.extend(effects.drives)
+        robot.peer_faults.extend(effects.peer_faults or ())
         robot.invalid_goals += effects.invalid_goals
         for found in effects.goals:
             robot.find(found.goal, found.age, self.now)

@@ -14,6 +14,7 @@ from swarmd.core.messages import (
     LimitingObstacle,
     Member,
     NarrowestPassage,
+    PeerFault,
     Presence,
     ProcessUsage,
     RecordingSummary,
@@ -57,6 +58,7 @@ def sections(
         ("Emergency stops", [(i, stop_text(one)) for i, one in sorted(status.latches.items())]),
         ("Protection", _protection(status)),
         ("Peers", [(f.robot, f"holds it: {f.text}" if f.holds else f.text) for f in status.peers]),
+        ("Told by peers", [_peer_fault(fault) for fault in status.peer_faults]),
         ("Parameters", _parameters(status, described)),
         (_report_title(status), _report(status, described)),
         ("Readings", _readings(status)),
@@ -75,6 +77,11 @@ def sections_with_events(
     """As `sections`, with the last events as the last group."""
     events = [(f"{seconds(status.uptime - e.at)} ago", e.text) for e in status.events[-10:]]
     return [*sections(member, status, described), ("Events", events)]
+
+
+def _peer_fault(fault: PeerFault) -> tuple[str, str]:
+    """The robot of a fault that peers tell, and the fault with its time."""
+    return fault.robot, f"{fault.text}; for {seconds(fault.since)}"
 
 
 def _readings(status: Status) -> list[tuple[str, str]]:

@@ -17,6 +17,7 @@ from swarmd.core.messages import (
     LimitingObstacle,
     Member,
     NarrowestPassage,
+    PeerFault,
     Reason,
     Sandbox,
     ScanDelaySummary,
@@ -235,3 +236,10 @@ def test_the_narrowest_passages_are_rounded_up_and_explained() -> None:
     text = passage_text(NarrowestPassage(door=0.951, corridor=0.96, meeting=1.8201))
     assert re.findall(r"[\d.]+ m", text) == ["0.96 m", "0.96 m", "1.83 m"]
     assert "gap" in text
+
+
+def test_shows_the_faults_that_peers_tell_with_their_robots() -> None:
+    fault = PeerFault(robot="r3", kind="deaf", by=4, of=5, since=7.0)
+    ((robot, text),) = shown(make_member(peer_faults=(fault,)))["Told by peers"].items()
+    assert robot == "r3"
+    assert [word in text for word in ("deaf", "4 of 5", "7")] == [True] * 3

@@ -351,6 +351,28 @@ def test_a_deaf_robot_has_no_neighbors_and_a_mute_one_is_none(
     assert (FAULTY not in heard["tb3-01"]) == is_mute
 
 
+@pytest.mark.parametrize(
+    ("fault", "at", "told"),
+    [
+        ({"radio": "mute"}, 1.0, {(FAULTY, "mute")}),
+        ({"radio": "deaf"}, 1.0, {(FAULTY, "deaf")}),
+        ({"radio": "mute"}, 9.5, set()),  # the control: the fault is to come
+    ],
+)
+def test_peers_name_a_mute_and_a_deaf_robot(
+    fault: dict[str, Any], at: float, told: set[tuple[str, str]]
+) -> None:
+    group = {"platform": "burger", "count": 3, "pattern": "trimmed_consensus"}
+    lab = Lockstep(scenario(fault, at=at, groups={"tb3": group}, duration=10.0), 1)
+    lab.advance(9.0)
+    for shell in lab.shells:
+        assert shell is not None
+        found = shell.robot.status(lab.world.time).peer_faults
+        assert {(one.robot, one.kind) for one in found} == told
+        lines = [event.text for event in shell.robot.status(lab.world.time).events]
+        assert any(FAULTY in line for line in lines) == bool(told)
+
+
 def test_the_charge_of_a_battery_with_a_fault_is_read() -> None:
     platforms = {"burger": {"extends": "burger", "body": {"battery_time": 1000.0}}}
     made = scenario({"battery": "low", "charge": 0.07}, platforms=platforms)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from swarmd.core import codec
 from swarmd.core.goal import GoalState
-from swarmd.core.messages import Presence, State, Status
+from swarmd.core.messages import UNHEARD, PeerFault, Presence, State, Status
 from swarmd.operator.session.members_view import Contact, SeenMember
 from swarmd.operator.texts.keys import key_warnings
 from swarmd.operator.texts.values import NOTHING, number, seconds
@@ -114,6 +114,7 @@ def health(view: MembersView) -> Iterator[str]:
     yield from _emergency_stops(view, statuses)
     yield from _reported_faults(statuses)
     yield from incompatible(statuses)
+    yield from told_by_peers(statuses)
     yield from _held(statuses)
     if driven := [f"{one.robot} (by {one.driven_by})" for one in statuses if one.driven_by]:
         yield f"driven by hand: {', '.join(driven)}"
@@ -210,6 +211,20 @@ def incompatible(statuses: Iterable[Status]) -> Iterator[str]:
                 peers.append(peer.robot)
     for (holds, text), (own, peers) in pairs.items():
         yield f"{', '.join(own)} {'held by' if holds else 'beside'} {', '.join(peers)}: {text}"
+
+
+def told_by_peers(statuses: Iterable[Status]) -> Iterator[str]:
+    """A line for each fault that peers tell of a robot, with the most robots that tell it."""
+    faults: dict[tuple[str, str], tuple[PeerFault, list[str]]] = {}
+    for status in statuses:
+        for fault in status.peer_faults:
+            told, tellers = faults.setdefault((fault.robot, fault.kind), (fault, []))
+            tellers.append(status.robot)
+            if fault.by > told.by:
+                faults[fault.robot, fault.kind] = fault, tellers
+    for fault, tellers in faults.values():
+        told_by = f" (told by {', '.join(tellers)})" if fault.kind == UNHEARD else ""
+        yield f"{fault.robot} {fault.text}; for {seconds(fault.since)}{told_by}"
 
 
 def _held(statuses: Iterable[Status]) -> Iterator[str]:

@@ -19,6 +19,7 @@ from swarmd.core.messages import (
     DecisionSummary,
     Health,
     Latch,
+    PeerFault,
     Presence,
     ProcessUsage,
     Reason,
@@ -255,3 +256,17 @@ def test_each_emergency_stop_is_told_once_with_its_robots() -> None:
         "emergency stop: r2, r3 (by bob@desk, 12.0 s ago, for swarm: smoke)",
         "emergency stop: r3 (by anna, 3.0 s ago, for robots: wheel)",
     ]
+
+
+def test_names_a_fault_that_peers_tell_once_and_who_alone_suspects_it() -> None:
+    mute = PeerFault(robot="r3", kind="mute", by=2, of=3, since=7.0)
+    unheard = PeerFault(robot="r2", kind="unheard", by=0, of=2, since=9.0)
+    members = [
+        make_member("r1", peer_faults=(unheard, mute)),
+        make_member("r2", peer_faults=(replace(mute, by=3),)),
+    ]
+    lines = [line for line in health(view_of(*members)) if "mute" in line or "unheard" in line]
+    assert len(lines) == 2
+    alone, named = lines
+    assert [word in alone for word in ("r2", "r1", "9")] == [True] * 3
+    assert [word in named for word in ("r3", "3 of 3", "r1")] == [True, True, False]
