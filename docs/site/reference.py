@@ -708,7 +708,7 @@ def python() -> Iterator[str]:
     yield from module("swarmd.operator.client.swarm", ["Swarm"])
     yield from module("swarmd.operator.client.async_swarm", ["AsyncSwarm"])
     yield from module("swarmd.operator.verbs.members.ask", ["Members", "Description"])
-    yield from module("swarmd.operator.session.looks", ["RobotState"])
+    yield from module("swarmd.operator.session.states", ["RobotState"])
     yield from module("swarmd.operator.verbs.events.feed", ["EventLine"])
     yield from module("swarmd.operator.verbs.push.ask", ["PushOutcome"])
     yield from module("swarmd.operator.verbs.acceptance.ask", ["Accepted"])

@@ -55,7 +55,7 @@ FORMER: Mapping[str, str] = {
     "swarmd.client.run_lease": "swarmd.operator.verbs.run.lease",
     "swarmd.client.runs": "swarmd.operator.verbs.run.ask",
     "swarmd.client.session": "swarmd.operator.session.session",
-    "swarmd.client.states": "swarmd.operator.session.looks",
+    "swarmd.client.states": "swarmd.operator.session.states",
     "swarmd.client.stops": "swarmd.operator.verbs.stop.ask",
     "swarmd.client.swarm_watch": "swarmd.operator.session.looks",
     "swarmd.client.targets": "swarmd.operator.session.targets",

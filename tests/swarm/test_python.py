@@ -23,7 +23,7 @@ from swarmd.core.messages import Presence, Reason, State
 from swarmd.core.refusal import Refusal
 from swarmd.operator.client.hand_over import HAND_OVER
 from swarmd.operator.session.exit_codes import NO_TARGET, PARTIAL, REFUSED, TIMEOUT, USAGE
-from swarmd.operator.session.looks import MAX_WAITING
+from swarmd.operator.session.states import MAX_WAITING
 from tests.support.processes import CAP, DaemonProcess, unique_swarm, wait_until
 from tests.support.secured_swarm import SecuredSwarm
 from tests.support.swarmctl import STALLED, typed_in_time

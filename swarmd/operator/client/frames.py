@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from msgspec.structs import asdict
 
 from swarmd.core.errors import ConfigError
-from swarmd.operator.session.looks import RobotState
+from swarmd.operator.session.states import RobotState
 from swarmd.plugins import need
 
 if TYPE_CHECKING:

@@ -15,8 +15,8 @@ from swarmd.core.errors import ConfigError, ForkedError, RequestError, SwarmErro
 from swarmd.core.numbers import python_value
 from swarmd.operator.client.loop_life import LoopLife
 from swarmd.operator.session.exit_codes import NO_TARGET, TIMEOUT
-from swarmd.operator.session.looks import Pose, RobotState, follow_states, read_poses
 from swarmd.operator.session.session import Session
+from swarmd.operator.session.states import Pose, RobotState, follow_states, read_poses
 from swarmd.operator.session.targets import (
     Targets,
     Words,

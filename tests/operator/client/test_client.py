@@ -30,10 +30,10 @@ from swarmd.operator.client.network_options import NetworkOptions
 from swarmd.operator.client.operator_pool import MAX_IDLE, MAX_REQUESTS, LookTurns, OperatorPool
 from swarmd.operator.client.swarm import Swarm, _targets
 from swarmd.operator.session.exit_codes import NO_TARGET
-from swarmd.operator.session.looks import RobotState, _put
 from swarmd.operator.session.members_view import MembersView
 from swarmd.operator.session.outcome import Outcome
 from swarmd.operator.session.session import Session
+from swarmd.operator.session.states import RobotState, _put
 from swarmd.operator.session.targets import Targets, check_words, plain_params
 from swarmd.operator.verbs.members.ask import Members
 from swarmd.operator.verbs.run.ask import Run

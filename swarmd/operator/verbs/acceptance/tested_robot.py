@@ -32,8 +32,8 @@ from swarmd.operator.acceptance.stops import LEASE
 from swarmd.operator.acceptance.verdict import Verdict, not_shown
 from swarmd.operator.calibration.figures import PATTERN
 from swarmd.operator.calibration.report import measured_file
-from swarmd.operator.session.looks import follow_states
 from swarmd.operator.session.session import ASK_TIME
+from swarmd.operator.session.states import follow_states
 from swarmd.operator.session.targets import Targets
 from swarmd.operator.texts.doctor import STEPS
 from swarmd.operator.verbs.doctor.ask import LISTEN_TIME, findings_of_robot

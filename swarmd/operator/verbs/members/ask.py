@@ -14,9 +14,9 @@ from swarmd.core.errors import RequestError
 from swarmd.core.messages import Presence
 from swarmd.core.verbs import ForgetRequest
 from swarmd.operator.session.exit_codes import REFUSED, code_of_answers
-from swarmd.operator.session.looks import Pose
 from swarmd.operator.session.members_view import MembersView, SeenMember
 from swarmd.operator.session.outcome import Outcome
+from swarmd.operator.session.states import Pose
 from swarmd.operator.session.targets import check_known
 from swarmd.operator.texts.status import NOT_DESCRIBED, sections_with_events
 from swarmd.operator.texts.values import printable
