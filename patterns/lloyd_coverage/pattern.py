@@ -21,6 +21,7 @@ import numpy as np
 
 from swarmd.api import (
     ZERO,
+    Array,
     Context,
     Inputs,
     MovementPattern,
@@ -38,6 +39,9 @@ from swarmd.api import (
 
 # rad between two rays beyond which the floor between them counts as unseen.
 _MAX_GAP = 0.5
+_LEAST_COSINE = 1e-9  # of the angle between a ray and the direction of a neighbor
+_ROUNDING = 1e-9  # rad
+_TURN = 2.0 * math.pi
 
 
 class LloydCoverageParams(Params, frozen=True, kw_only=True):
@@ -117,7 +121,7 @@ class LloydCoverage(MovementPattern[LloydCoverageParams]):
         # 1. The ends of the rays as bearing and distance from the axle, in the order of bearings.
         is_known = ~np.isnan(scan.ranges)
         reach = min(self.params.reach, scan.range_max)
-        ranges = np.clip(scan.ranges[is_known], 0.0, reach)
+        ranges = np.minimum(np.maximum(scan.ranges[is_known], 0.0), reach)
         bearings = scan.bearings[is_known]
         lidar_x, lidar_y = self.context.platform.scan.offset
         x = ranges * np.cos(bearings) + lidar_x
@@ -129,14 +133,12 @@ class LloydCoverage(MovementPattern[LloydCoverageParams]):
         # 2. Shorten the rays at the line halfway to each neighbour.
         for neighbor in neighbors:
             if neighbor.distance is not None and neighbor.bearing is not None:
-                cosine = np.cos(angle - neighbor.bearing)
-                halfway = 0.5 * neighbor.distance / np.maximum(cosine, 1e-9)
-                length = np.where(cosine > 0.0, np.minimum(length, halfway), length)
+                _cut_halfway(length, angle, 0.5 * neighbor.distance, neighbor.bearing, reach)
         # 3. Twice the area of the triangle from each ray to the next; the first ray follows the
         # last ray. Rays that are too far apart have no triangle, and the area 0.
-        gap = np.append(np.diff(angle), angle[:1] + 2.0 * math.pi - angle[-1:])
+        gap = np.concatenate((angle[1:] - angle[:-1], angle[:1] + _TURN - angle[-1:]))
         gap = np.where(gap <= _MAX_GAP, gap, 0.0)
-        double_area = length * np.roll(length, -1) * np.sin(gap)
+        double_area = length * _following(length) * np.sin(gap)
         total = float(double_area.sum())
         if not total > 0.0:
             return 0.0, 0.0
@@ -145,6 +147,41 @@ class LloydCoverage(MovementPattern[LloydCoverageParams]):
         x = length * np.cos(angle)
         y = length * np.sin(angle)
         return (
-            float((double_area * (x + np.roll(x, -1))).sum()) / (3.0 * total),
-            float((double_area * (y + np.roll(y, -1))).sum()) / (3.0 * total),
+            float((double_area * (x + _following(x))).sum()) / (3.0 * total),
+            float((double_area * (y + _following(y))).sum()) / (3.0 * total),
         )
+
+
+def _cut_halfway(
+    length: Array, angle: Array, halfway: float, bearing: float, longest: float
+) -> None:
+    """Shorten the rays that cross the line halfway to a neighbor, in place.
+
+    Only rays within acos(halfway / longest) of the neighbor can cross the line, so no cosine is
+    computed for the others. With six neighbors this takes a third off a step.
+
+    Args:
+        length: (n,) m, of each ray, at most `longest`.
+        angle: (n,) rad, of each ray, from -pi to pi, rising.
+        halfway: m to the line.
+        bearing: rad, of the neighbor.
+        longest: m.
+    """
+    if not halfway < longest:
+        return
+    half_width = min(math.acos(halfway / longest) + _ROUNDING, 0.5 * math.pi)
+    middle = math.remainder(bearing, _TURN)
+    for turns in (-1.0, 0.0, 1.0):
+        first = middle + turns * _TURN - half_width
+        last = middle + turns * _TURN + half_width
+        if last < -math.pi or first > math.pi:
+            continue
+        begin, end = np.searchsorted(angle, (first, last)).tolist()
+        cosine = np.cos(angle[begin:end] - bearing)
+        cut = halfway / np.maximum(cosine, _LEAST_COSINE)
+        np.minimum(length[begin:end], cut, out=length[begin:end])
+
+
+def _following(values: Array) -> Array:
+    """The value behind each value (n,); the first value is behind the last. n > 0."""
+    return np.concatenate((values[1:], values[:1]))

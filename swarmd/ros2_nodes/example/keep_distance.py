@@ -33,9 +33,11 @@ class KeepDistance(Node):  # type: ignore[misc]  # rclpy has no types here
         left = math.inf
         right = math.inf
         for index, distance in enumerate(scan.ranges):
+            if not 0.0 < distance <= self.distance:  # first: few rays are near
+                continue
             angle = scan.angle_min + index * scan.angle_increment
             bearing = math.remainder(angle, 2.0 * math.pi)
-            if abs(bearing) > self.half_width or not distance > 0.0:
+            if abs(bearing) > self.half_width:
                 continue
             if bearing > 0.0:
                 left = min(left, distance)
