@@ -160,7 +160,8 @@ def test_a_field_of_an_emergency_stop_reaches_all_readers(shown: dict[str, Any])
         (
             Status,
             "robot driver profile is_secured state since latches params report decision health"
-            " readings stale_readings events scan_delay peers findings goal keys words",
+            " readings stale_readings events scan_delay peers findings goal keys words"
+            " peer_faults",
         ),
         (
             DecisionSummary,

@@ -7,6 +7,7 @@ skipped without it. docs/ros2_nodes.md has the commit.
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ from studies.ros2swarm import (
     write_launch,
 )
 from swarmd.core.errors import PluginError
-from swarmd.core.values import Inputs, Outputs
+from swarmd.core.values import Inputs, Outputs, Value
 from swarmd.kit.factory import assemble
 from swarmd.pattern_host.loader import PatternLoader
 from swarmd.plugins import pattern_names
@@ -102,7 +103,9 @@ def test_our_rewrite_commands_what_their_node_commands_for_the_same_scan(
     """To the rounding of a `LaserScan`, whose ranges and angles have 32 bits."""
     platform = load_platform("waffle_pi")
     # A robot that is alone turns by their file; by default our dispersion stands.
-    of_their_file = (("request", {"law": "paper", "angular_if_alone": 1.0}),)
+    of_their_file: tuple[tuple[str, Mapping[str, Value]], ...] = (
+        ("request", {"law": "paper", "angular_if_alone": 1.0}),
+    )
     ours = assemble(
         pattern,
         of_their_file,
