@@ -65,9 +65,9 @@ from swarmd.daemon.recording.ring import (
     Left,
     Ring,
     entries_of,
-    ring_folder,
     read_left,
     remove_old,
+    ring_folder,
 )
 from swarmd.daemon.recording_files import piece_of
 from swarmd.daemon.requests import SendReply

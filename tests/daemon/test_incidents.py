@@ -29,7 +29,7 @@ from swarmd.daemon.recorder import Recorder
 from swarmd.daemon.recording import frames
 from swarmd.daemon.recording.head import RecordingHead
 from swarmd.daemon.recording.incident_file import IncidentHead, read, read_head
-from swarmd.daemon.recording.ring import Ring, entries_of, ring_folder, read_left, remove_old
+from swarmd.daemon.recording.ring import Ring, entries_of, read_left, remove_old, ring_folder
 from swarmd.link.datagram import STATES, Beacon
 from swarmd.link.keys.content_signature import Purpose, sign
 from swarmd.link.keys.identity import Identity
