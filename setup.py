@@ -6,8 +6,8 @@ types of C, which swarmd/core/kernel_types.py puts into a copy of it. A unit is 
 kernels are joined, without the imports of each other. A library is linked of its units. Where there
 is no compiler the build goes on without libraries, and CPython runs the files. A library serves the
 Python that builds it, and is faster than one for the stable ABI (.92 of the time in the median of
-four seeds; single pairs at load gave .79 to 1.35). With SWARMD_STABLE_ABI=1, as for wheels, it
-serves Python 3.11 and all later versions. Each library holds the digest of its sources, which
+four seeds; single pairs at load gave .79 to 1.35). With SWARMD_STABLE_ABI=1 it serves Python 3.11
+and later versions, as in the wheels for all. Each library holds the digest of its sources, which
 swarmd/core/kernels.py compares before it loads the library. Cython's code for views of memory is in
 one library that all kernels import: a copy in each took a quarter of the time of the build.
 
