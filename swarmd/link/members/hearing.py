@@ -152,10 +152,6 @@ class Hearing:
         else:
             peer.beacons += 1
 
-    def forget(self, robot: str) -> None:
-        """Forget a robot."""
-        self._peers.pop(robot, None)
-
     def advance(self, now: float) -> bool:
         """Judge anew if it is time; True if `faults` differ in more than their times."""
         if now - self._judged_at < JUDGE_PERIOD:
