@@ -65,7 +65,13 @@ def run_outcomes(ctx: click.Context, name: str, seeds: str, options: RunOptions)
     from swarmd.core.files import read_regular, write_whole
     from swarmd.sim.experiments.manifest import NAME as MANIFEST
     from swarmd.sim.experiments.manifest import manifest_of
-    from swarmd.sim.experiments.outcomes import NAME, judge_all, outcomes_file, read_outcomes
+    from swarmd.sim.experiments.outcomes import (
+        NAME,
+        judge_all,
+        left_out_seeds,
+        outcomes_file,
+        read_outcomes,
+    )
     from swarmd.sim.experiments.plan import parse_seeds
     from swarmd.sim.experiments.store import recorded_in
     from swarmd.sim.metrics.catalog import beyond_catalog
@@ -154,6 +160,8 @@ def run_outcomes(ctx: click.Context, name: str, seeds: str, options: RunOptions)
     # 4. What they reach, and the exit code.
     findings = judge_all(outcomes, {name: of for name, of in results.items() if of.runs})
     lacking = [f"{runs}: {of.lacking}" for runs, of in results.items() if of.lacking]
+    left_out = [left_out_seeds(outcomes, runs, plan.seeds) for runs, plan in plans.items()]
+    lacking += [text for text in left_out if text]
     show(findings, ", ".join(lacking), is_json=options.is_json)
     planned = sum(len(plan.runs) for plan in plans.values())
     done = sum(len(of.runs) for of in results.values())

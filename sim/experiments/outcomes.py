@@ -38,6 +38,7 @@ from swarmd.settings.layered import Keys, Layered, dotted
 from swarmd.settings.yamlfile import read, shown
 from swarmd.sim.experiments.plan import Plan, parse_seeds
 from swarmd.sim.experiments.requirements import (
+    RUNS,
     Requirement,
     RequirementFinding,
     Verdict,
@@ -173,7 +174,7 @@ class Outcomes:
         found: dict[str, Metric] = {}
         for number, row in enumerate(self.rows):
             for runs, metric in row.metrics:
-                if runs == name and metric not in found:
+                if runs == name and metric not in found and metric != RUNS:
                     found[metric] = self._metric(number, metric)
         return list(found.values())
 
@@ -321,6 +322,8 @@ def _row(layers: Layered, number: int, row: _Row, runs: Mapping[str, RunsOf]) ->
         if not names or len({*names}) < len(names):
             raise ConfigError(f"runs is {list(names)}; expected names, each of them once")
         if other is not None:
+            if RUNS in (requirement.metric, other.metric):
+                raise ConfigError(f"{other.kind} goes with a metric; {RUNS} is a number of runs")
             _check_other(other, names, requirement, runs)
     except ConfigError as error:
         raise layers.error(keys, f"{dotted(keys)}: {error}") from error
@@ -427,10 +430,15 @@ def judge(row: Row, results: Mapping[str, Results]) -> OutcomeFinding:
 
     The 95 % interval of a mean, median or share decides, and each run of `min` and `max`, as in
     `requirements.check`. A bound is not met if a run has no value, unless the row has `if_known`.
+    With `runs` in place of a metric the number of finished runs is compared.
     """
-    samples = [np.array(sample) for sample in samples_of(row, results)]
     requirement = row.requirement
     runs = ", ".join(row.runs)
+    if requirement.metric == RUNS:
+        done = float(sum(len(results[name].rows) for name in row.runs))
+        verdict = verdict_of(requirement, Interval(done, done))
+        return OutcomeFinding(row, RequirementFinding(requirement, runs, done, None, "", verdict))
+    samples = [np.array(sample) for sample in samples_of(row, results)]
     missing = sum(int(np.isnan(sample).sum()) for sample in samples)
     remark = f"{counted(missing, 'run')} without a value" if missing else ""
     if missing or not all(sample.size for sample in samples):
@@ -494,6 +502,7 @@ def check_share(row: Row, values: Array) -> None:
 def judged_folder(folder: Path) -> tuple[list[OutcomeFinding], str]:
     """The findings of the rows whose runs are in `folder`, and what is missing, as text.
 
+    Seeds of the file that were not run are missing, too: a quick look tries no row.
     A row without any run of its kind has no finding. ConfigError if the folder is damaged.
     """
     outcomes = read_outcomes(folder / NAME)
@@ -508,7 +517,21 @@ def judged_folder(folder: Path) -> tuple[list[OutcomeFinding], str]:
             results[name] = of_runs
         if of_runs.lacking or not of_runs.rows:
             lacking.append(f"{name}: {of_runs.lacking or 'no run'}")
+        elif left_out := left_out_seeds(outcomes, name, of_runs.plan.seeds):
+            lacking.append(left_out)
     return judge_all(outcomes, results), ", ".join(lacking)
+
+
+def left_out_seeds(outcomes: Outcomes, name: str, seeds: Sequence[int]) -> str:
+    """How many seeds of the file the runs `name` leave out, as `--seeds` may; empty if none."""
+    wanted = {*outcomes.runs[name].seeds}
+    tried = len(wanted.intersection(seeds))
+    if tried == len(wanted):
+        return ""
+    return (
+        f"{name}: {tried} of the {counted(len(wanted), 'seed')} of {NAME}; for a verdict run the"
+        " file without --seeds into a new folder"
+    )
 
 
 def judge_all(outcomes: Outcomes, results: Mapping[str, Results]) -> list[OutcomeFinding]:

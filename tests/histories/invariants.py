@@ -833,6 +833,11 @@ _ROWS = (
         (Invariants._check_end, Invariants._check_goal, Invariants.on_reply),
     ),
     Rule(
+        "hand",
+        "A robot drives by hand only by a word of who has it in hand, in time and after each stop;"
+        " its run waits, also beneath a hand that was lost.",
+    ),
+    Rule(
         "exception",
         "No code of a robot, a peer or an operator raises an exception, or logs one as an error.",
         (no_exception,),

@@ -1,6 +1,6 @@
 """Every sequence of actions on the real `Robot`, judged by the rules; `make sequences` runs it.
 
-Two searches: all sequences of commands, deep, and all sequences of commands and events, less deep::
+Three searches: all sequences of commands, deep; of commands and events, less deep; of hands::
 
     python -m tests.sequences robot                       # both, at the depth of `make sequences`
     python -m tests.sequences robot events --depth 5 --draw 100  # 100,000 random ones, 20 minutes
@@ -64,6 +64,14 @@ ALPHABETS: Mapping[str, Alphabet] = {
             *("run", "stop", "estop", "reset", "driver", "host_dies", "hangs", "no_scans"),
             *("obstacle", "clock_set", "freeze", "raises", "unknown", "hazard", "no_pose"),
             *("battery", "push", "peer_goal"),
+        ),
+        4,
+        2,
+    ),
+    "hands": Alphabet(
+        (
+            *("run", "take", "old_take", "silent", "late_word", "release"),
+            *("stop", "estop", "resume", "copy"),
         ),
         4,
         2,

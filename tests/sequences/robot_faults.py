@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -16,6 +17,7 @@ from swarmd.core.values import Twist
 from swarmd.robot import hazard_holds, requests, robot, state
 from swarmd.robot.actions import Actions
 from swarmd.robot.goals import Goals
+from swarmd.robot.hand import Hand
 from swarmd.robot.issue_time import KnownStops
 from swarmd.robot.latches import Latches
 from swarmd.robot.requests import RequestHandler
@@ -82,7 +84,25 @@ def _forget_lift(put: Put) -> None:
     put(hazard_holds, "ENDS_RUN", frozenset({HazardKind.WHEEL_DROP}))
 
 
+def _never_lose(put: Put) -> None:
+    put(Hand, "due_at", property(lambda one: math.inf))
+
+
 _ROWS = (
+    Fault(
+        "keep_hand",
+        "a stop is acknowledged, and the hand drives on",
+        lambda put: put(Lifecycle, "drop_hand", lambda one, text, effects: None),
+        "stopped",
+        ("take", "stop"),
+    ),
+    Fault(
+        "never_lose",
+        "the last command of a silent driver goes on",
+        _never_lose,
+        "hand",
+        ("take", "silent"),
+    ),
     Fault(
         "keep_run",
         "a stop is acknowledged, and the run goes on",

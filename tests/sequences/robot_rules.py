@@ -15,6 +15,7 @@ from typing import ClassVar, NamedTuple
 from swarmd.core.messages import Code, Latch, Reason, Reply, State
 from swarmd.core.values import ZERO, Twist
 from swarmd.core.verbs import (
+    DriveRequest,
     EstopRequest,
     ReloadRequest,
     Request,
@@ -34,6 +35,8 @@ AT_REST = 0.02  # m/s, below which a base counts as measured at rest
 CREEP = 0.02  # m/s at most towards an obstacle that is near
 HOLD_TIME = 2.0  # s of a hold that end a run
 HOLD_SLACK = 0.3  # s
+LEASE = 0.5  # s without a word after which a hand is lost, by docs/drive.md
+FIRST_LEASE = 3.0  # s until the first word
 
 # When the command must be zero, in s after the condition began, and whether a run is over that
 # stood for HOLD_TIME. Scans of 5 Hz stop counting after 3.5 periods.
@@ -72,6 +75,9 @@ class Facts:
     stop_told: float = NEVER  # when the latest stop was typed that the robot was told of
     reset_acked: float = NEVER  # when the latest acknowledged reset was carried out
     conditions: dict[str, float] = field(default_factory=dict)  # name to begin, of those present
+    hand: Licence | None = None  # the hand that the robot is in
+    word: float = NEVER  # when its driver was last heard
+    is_held: bool = False  # a run waits beneath a hand that was lost
     clock_back: float = NEVER  # when the clock of the sensors was last set back
     base: Twist = ZERO  # what the base does
 
@@ -79,6 +85,14 @@ class Facts:
     def wants_motion(self) -> bool:
         """True if the robot has accepted a start that was typed after each stop."""
         return self.licence is not None and self.licence.typed > self.stop_told
+
+    @property
+    def hand_lasts(self) -> bool:
+        """True while the driver of the hand is heard in time."""
+        if self.hand is None:
+            return False
+        until = self.hand.at + FIRST_LEASE if self.word == NEVER else self.word + LEASE
+        return self.now <= until + SLACK
 
 
 class Seen(NamedTuple):
@@ -148,7 +162,8 @@ class Stopped(Judge):
 
     def on_step(self, seen: Seen, facts: Facts) -> None:
         if seen.moves:
-            typed = NEVER if facts.licence is None else facts.licence.typed
+            starts = (facts.licence, facts.hand)
+            typed = max((one.typed for one in starts if one is not None), default=NEVER)
             ago = facts.now - facts.stop_acked
             self.demand(typed > facts.stop_acked, f"it moves {ago:.2f} s after a stop")
 
@@ -200,14 +215,41 @@ class Late(Judge):
         self._is_asked = False
 
 
+class Hand(Judge):
+    """Back only by a timely word of the hand that the robot is in; ahead only without a hand.
+
+    A pattern drives ahead, and a hand back.
+    """
+
+    rule = "hand"
+
+    def on_reply(self, request: Request, reply: Reply, seen: Seen, facts: Facts) -> None:
+        if not isinstance(request, DriveRequest):
+            return
+        self.tested = True
+        if reply.code is Code.APPLIED:
+            is_copy = request.id in facts.delivered
+            is_end = request.is_release and facts.hand is None
+            self.demand(is_copy or not is_end, "it releases a hand that is over")
+
+    def on_step(self, seen: Seen, facts: Facts) -> None:
+        if not self.tested:  # nobody has asked for a hand: recovery may drive back
+            return
+        speed = seen.twist.linear
+        self.demand(speed >= 0.0 or facts.hand_lasts, "it drives by a hand that is over")
+        is_waiting = facts.hand is not None or facts.is_held
+        self.demand(speed <= 0.0 or not is_waiting, "its run goes on beneath a hand")
+
+
 class Zero(Judge):
-    """Zero outside running."""
+    """Zero outside running, unless a hand drives."""
 
     rule = "zero"
 
     def on_step(self, seen: Seen, facts: Facts) -> None:
         self.tested |= not seen.is_running
-        self.demand(seen.is_running or not seen.moves, f"it is {seen.state} and moves")
+        may_move = seen.is_running or facts.hand is not None
+        self.demand(may_move or not seen.moves, f"it is {seen.state} and moves")
 
 
 class Answer(Judge):
@@ -375,5 +417,5 @@ class CauseNamed(Judge):
 
 
 JUDGES: tuple[type[Judge], ...] = (
-    *(Zero, Stopped, LaterRun, Late, Answer, LatchHeld, LostBase, Hold, OldGoal, CauseNamed),
+    *(Hand, Zero, Stopped, LaterRun, Late, Answer, LatchHeld, LostBase, Hold, OldGoal, CauseNamed),
 )

@@ -20,6 +20,7 @@ from msgspec.structs import replace
 
 from swarmd.core.clock import TICK
 from swarmd.core.events import (
+    DriveInput,
     DriverInput,
     GoalInput,
     HazardsInput,
@@ -35,8 +36,8 @@ from swarmd.core.hazard import Hazard, HazardKind
 from swarmd.core.host_messages import HostDied, Loaded, Stepped
 from swarmd.core.low_battery import LowBatterySettings
 from swarmd.core.messages import Code
-from swarmd.core.values import Odometry, Pose, Scan, SharedPose
-from swarmd.core.verbs import EstopRequest, Request, ResetRequest
+from swarmd.core.values import Odometry, Pose, Scan, SharedPose, Twist
+from swarmd.core.verbs import DriveRequest, EstopRequest, Request, ResetRequest
 from swarmd.robot.actions import Actions
 from swarmd.robot.protection.fence.fence_settings import FenceSettings
 from swarmd.robot.robot import Robot
@@ -73,6 +74,10 @@ CLOCK_STEP = 30.0  # s by which the clock of the drivers is set
 LEAST_BATTERY_TIME = 5.0  # s for which a charge must be low
 END = 0.5  # s of a run with an end: in the time of the next action
 VALID = 60.0  # s for which a goal may be joined
+WORD = 2  # ticks from one command of a driver to the next one
+BACK = Twist(-0.05)  # what a driver commands; a pattern drives ahead
+SILENT = "silent driver"
+LATE = 1.0  # s that a command of a driver was under way
 NEW = "new"
 ANNA, BOB = ("anna", "desk", 700.0), ("bob", "laptop", 90_000.0)
 """Operators: name, clock, and s by which this clock is ahead of that of the robot."""
@@ -115,6 +120,8 @@ class RobotWorld:
         self._shift = 0.0  # s, of the clock of the drivers
         self._count = 0
         self._ticks = 0
+        self._hand = ""  # id of the last request for a hand, whose driver goes on until the release
+        self._words = 0
         self.harness = _Watched(
             self, patterns=PATTERNS, fence=FENCE, on_low_battery=BATTERY, make=make
         )
@@ -187,6 +194,23 @@ class RobotWorld:
             facts.reset_acked = facts.now
         elif isinstance(request, Starts) and code is Code.APPLIED and is_running:
             facts.licence = Licence(request.id, typed, facts.now)
+            facts.is_held = False
+        self._note_hand(request, code, typed, is_running=is_running)
+
+    def _note_hand(self, request: Request, code: Code, typed: float, *, is_running: bool) -> None:
+        """What an answer changes of the hand that the robot is in."""
+        facts = self.facts
+        if isinstance(request, DriveRequest):
+            is_copy = request.id in facts.delivered
+            if code is Code.APPLIED and not is_copy:
+                is_taken = not request.is_release
+                facts.hand = Licence(request.id, typed, facts.now) if is_taken else None
+                facts.word = NEVER
+                facts.is_held = False
+        elif isinstance(request, Stops) and code is not Code.REFUSED:
+            if facts.hand is not None and typed > facts.hand.typed:
+                facts.hand = None
+            facts.is_held &= is_running
 
     def _join(self) -> None:
         """The robot runs without a request: by the goal that it says it has."""
@@ -205,7 +229,27 @@ class RobotWorld:
             if LOST_BASE not in facts.conditions:  # else it goes on as it does
                 facts.base = harness.twist
             self._sense(harness.now + TICK)
+            self._drive()
             harness.advance(TICK)
+
+    def _drive(self) -> None:
+        """The driver of the last hand commands, ten times a second, and knows of no loss."""
+        facts = self.facts
+        facts.now = self.harness.now
+        if facts.hand is not None and not facts.hand_lasts:
+            facts.hand = None
+            facts.is_held = self.harness.robot.is_running
+        if self._hand and SILENT not in facts.conditions and self._ticks % WORD == 0:
+            self._words += 1
+            if facts.hand is not None:
+                facts.word = facts.now
+            self.word(self._words)
+
+    def word(self, order: int, age: float = 0.0) -> None:
+        """A command of the driver arrives that was sent `age` s ago."""
+        name, _, ahead = ANNA
+        sent = self.harness.now + ahead - age
+        self.harness.step(DriveInput(self._hand, name, order, sent, BACK))
 
     def _sense(self, now: float) -> None:
         harness, base = self.harness, self.facts.base
@@ -262,6 +306,24 @@ class RobotWorld:
         self._kinds.setdefault(request.verb, []).append(id)
         self._deliver(request)
 
+    def take(self, typed: float | None = None) -> None:
+        """An operator takes the robot by hand, and commands from then on."""
+        id = self.new_id("drive")
+        self.order("drive", id=id, typed=typed)
+        self._hand = id
+        self._words = 0
+
+    def release(self) -> None:
+        """The driver releases the robot, and commands no more."""
+        hand, self._hand = self._hand, ""
+        self.order("drive", is_release=True, hand=hand)
+
+    def late_words(self) -> None:
+        """Commands of the driver arrive late, again, and as those of the hand before."""
+        if self._hand:
+            self.word(self._words)
+            self.word(self._words + 1, LATE)
+
     def new_id(self, verb: str) -> str:
         """The id of a new order."""
         self._count += 1
@@ -296,7 +358,7 @@ class RobotWorld:
 
         A copy of an emergency stop comes by another robot, which says so.
         """
-        for verb in ("run", "resume", "reload", "reset", "stop", "estop"):
+        for verb in ("run", "resume", "reload", "drive", "reset", "stop", "estop"):
             ids = self._kinds.get(verb, [])
             for id in dict.fromkeys((*ids[:1], *ids[-1:])):
                 request = self._sent[id]
@@ -430,6 +492,20 @@ _ROWS = (
         "the first and last request of each verb, and report of the host, arrive again",
         lambda world, kind: world.copies(),
     ),
+    Action("take", "an operator takes the robot by hand", lambda world, kind: world.take()),
+    Action(
+        "old_take",
+        "a hand is asked for that was typed before the last stop",
+        lambda world, kind: world.take(world.before_the_last_stop()),
+    ),
+    Action(
+        "silent",
+        "the driver is silent; commands again",
+        lambda world, kind: world.switch(SILENT),
+        0.9,
+    ),
+    Action("late_word", "commands of the driver come late", lambda world, kind: world.late_words()),
+    Action("release", "the driver releases the robot", lambda world, kind: world.release()),
     Action("driver", "the base is lost; back", lambda world, kind: world.driver(), 2.6),
     Action("host_dies", "the pattern host ends", lambda world, kind: world.host_dies()),
     Action("hangs", "the host hangs; goes on", lambda world, kind: world.host_hangs(), 1.4),

@@ -16,12 +16,15 @@ from tests.sequences.robot_world import ACTIONS, RobotWorld
 from tests.sequences.search import Head, Labels, Search, Tally
 
 # By hand: 8 + 64 + 512; and 24 first actions, of which six are hazards, that leave 19 of them.
-SEQUENCES = {"commands": 584, "events": 24 + 18 * 24 + 6 * 19}
+SEQUENCES = {"commands": 584, "events": 24 + 18 * 24 + 6 * 19, "hands": 10 + 10 * 10}
 TESTED = {
     "commands": {"zero", "stopped", "later_run", "late", "answer", "latch", "cause", "exception"},
     "events": {
         *("zero", "stopped", "later_run", "answer", "latch", "cause", "exception"),
         *("lost_base", "hold", "old_goal"),
+    },
+    "hands": {
+        *("zero", "stopped", "later_run", "late", "answer", "latch", "cause", "exception", "hand"),
     },
 }
 
@@ -73,11 +76,30 @@ def test_a_battery_ends_a_later_run_once_it_was_told_as_full(labels: Labels, sta
     assert world.harness.robot.state is state
 
 
+@pytest.mark.parametrize(
+    "labels",
+    [
+        ("run", "take", "stop", "resume"),
+        ("run", "take", "silent", "silent", "resume", "late_word"),
+        ("run", "take", "silent", "take", "silent", "release", "resume"),
+        ("take", "stop", "copy", "late_word", "run"),
+        ("take", "estop", "reset", "late_word", "copy"),
+        ("stop", "run", "old_take", "late_word", "release"),
+    ],
+    ids=",".join,
+)
+def test_nothing_late_drives_a_robot_that_was_in_a_hand(labels: Labels) -> None:
+    """Longer than those of `make test`."""
+    total = Tally()
+    assert Search(RobotWorld, lambda before: (), 0).replay(labels, total) == 0, total.violations
+    assert "hand" in total.judged
+
+
 def test_each_rule_is_judged_and_each_judge_has_a_rule() -> None:
     judged = {judge.rule for judge in JUDGES}
     assert judged <= RULES.keys()
     assert {name for name, rule in RULES.items() if not rule.functions} <= judged
-    assert judged | {"exception"} == TESTED["commands"] | TESTED["events"]
+    assert judged | {"exception"} == {rule for rules in TESTED.values() for rule in rules}
 
 
 def test_the_alphabets_have_all_actions() -> None:
@@ -85,6 +107,7 @@ def test_the_alphabets_have_all_actions() -> None:
     assert {name: len(one.actions) for name, one in ALPHABETS.items()} == {
         "commands": 8,
         "events": 18,
+        "hands": 10,
     }
 
 

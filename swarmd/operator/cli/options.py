@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Concatenate, NamedTuple, cast
 import click
 
 from swarmd.core.clock import boottime
-from swarmd.core.errors import P, R, unknown
+from swarmd.core.errors import ConfigError, P, R, unknown
 from swarmd.core.numbers import read_duration
 from swarmd.operator.cli import completion
 from swarmd.operator.client.network_options import NetworkOptions
@@ -57,7 +57,18 @@ class _PluginFolder(click.Path):
     """A folder that exists; a file is refused with the name of its folder."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """The path of the folder."""
+        """The path of the folder; ConfigError if the one of the variable is not there."""
+        is_of_variable = (
+            ctx is not None
+            and param is not None
+            and param.name is not None
+            and ctx.get_parameter_source(param.name) is click.core.ParameterSource.ENVIRONMENT
+        )
+        if is_of_variable and not Path(value).is_dir():
+            raise ConfigError(
+                f"$SWARM_PLUGIN_DIR is {str(value)!r}, which is no folder; set it to the folder of"
+                " your patterns, or unset it"
+            )
         if Path(value).is_file():
             self.fail(f"{value} is a file; name its folder, {Path(value).parent}", param, ctx)
         return super().convert(value, param, ctx)

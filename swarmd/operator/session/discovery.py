@@ -175,8 +175,8 @@ class Discovery:
             for instance in self.holders(robot) - self._statuses.instances(robot).keys()
             if instance in self._members.lives(robot)
         )
-        due = [one for one in lacking if self._status_parts.is_ask_due(one, now, self.round_trip)]
-        lives = [self._members.lives(robot)[instance] for robot, instance in due[:MAX_COPIES]]
+        asked = self._status_parts.begin_asks(lacking, now, self.round_trip, MAX_COPIES)
+        lives = [self._members.lives(robot)[instance] for robot, instance in asked]
         return tuple(life.address for life in lives)
 
     def on_beacon(self, beacon: Beacon, address: Address, now: float) -> None:

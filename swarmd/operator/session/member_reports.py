@@ -15,6 +15,7 @@ from __future__ import annotations
 import ipaddress
 from collections.abc import Collection, Iterable, Iterator, KeysView, Mapping
 from functools import cache, lru_cache
+from math import inf
 
 from msgspec import Struct
 
@@ -307,13 +308,23 @@ class StatusParts:
         """Note that the solicit with this number asks for statuses."""
         self._asked.add(echo)
 
-    def is_ask_due(self, instance: Instance, now: float, round_trip: float) -> bool:
-        """True if an instance is to be asked again now; the call notes that it is."""
+    def begin_asks(
+        self, instances: Iterable[Instance], now: float, round_trip: float, most: int
+    ) -> list[Instance]:
+        """Of `instances` those to ask again now, at most `most`; the call notes that they are.
+
+        Those that were asked longest ago come first, so that in a large swarm each gets its turn.
+        """
         period = max(ASK_PERIOD, ASK_TRIPS * round_trip)
-        if instance in self.refusing or now - self._asked_at.get(instance, now - period) < period:
-            return False
-        keep_newest(self._asked_at, instance, now, MOST_INSTANCES)
-        return True
+        due = [
+            (self._asked_at.get(one, -inf), one)
+            for one in instances
+            if one not in self.refusing and now - self._asked_at.get(one, -inf) >= period
+        ]
+        begun = [one for _, one in sorted(due)[:most]]
+        for one in begun:
+            keep_newest(self._asked_at, one, now, MOST_INSTANCES)
+        return begun
 
     def on_beacon(self, beacon: Beacon, now: float) -> None:
         """Note what an answer announces; the beacon of an instance that is heard."""

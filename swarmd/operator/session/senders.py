@@ -369,28 +369,32 @@ class PendingStop:
 
     def lacking(self, now: float) -> tuple[str, ...]:
         """The expected robots that have not acked, or whose ack says that the base still moves."""
-        expected = sorted(self._expected(now))
-        silent = set(self._silent_of(expected))
-        for name in expected:
-            if self.acks.is_moving(name):
-                self.acks.forget_ended(name, self._discovery.holders(name))
-        return tuple(name for name in expected if name in silent or self.acks.is_moving(name))
+        return tuple(name for name in sorted(self._expected(now)) if self._is_lacking(name))
 
     def silent(self, now: float) -> tuple[str, ...]:
         """The expected robots without an ack; if two daemons hold an id, both must ack."""
-        return self._silent_of(sorted(self._expected(now)))
+        return tuple(name for name in sorted(self._expected(now)) if self._is_silent(name))
 
-    def _silent_of(self, expected: Iterable[str]) -> tuple[str, ...]:
+    def _is_lacking(self, name: str) -> bool:
+        if self._is_silent(name):
+            return True
+        if self.acks.is_moving(name):
+            self.acks.forget_ended(name, self._discovery.holders(name))
+        return self.acks.is_moving(name)
+
+    def _is_silent(self, name: str) -> bool:
         # The holders of an id take long to find, and matter only once the robot has acked.
-        return tuple(
-            name
-            for name in expected
-            if not self.acks.has_reply(name) or self.acks.lacks(name, self._discovery.holders(name))
-        )
+        if not self.acks.has_reply(name):
+            return True
+        return self.acks.lacks(name, self._discovery.holders(name))
 
     def is_done(self, now: float) -> bool:
-        """True once the membership is known and every expected robot has acked and rests."""
-        if not self._expected(now) or self.lacking(now):
+        """True once the membership is known and every expected robot has acked and rests.
+
+        Each datagram that arrives asks. The first robot that lacks an ack is an answer.
+        """
+        expected = self._expected(now)
+        if not expected or any(map(self._is_lacking, expected)):
             return False
         return self._discovery.has_all_lists(now)  # takes the time of N**2 reports
 

@@ -130,7 +130,8 @@ class PageHand:
         try:
             forward = float(word.get("forward", 0.0))
             turn = float(word.get("turn", 0.0))
-            hand.move(forward, turn, seconds=STICK_TIME)
+            left = float(word.get("left", 0.0))
+            hand.move(forward, turn, left, seconds=STICK_TIME)
         except (TypeError, ValueError):
             return
         except SwarmError as error:

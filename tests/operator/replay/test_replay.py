@@ -24,7 +24,7 @@ from swarmd.core.hazard import Hazard, HazardKind
 from swarmd.core.host_messages import PatternFailed
 from swarmd.core.libm import digest_of_libm
 from swarmd.core.low_battery import LowBatterySettings
-from swarmd.core.messages import LimitingObstacle, State
+from swarmd.core.messages import LimitingObstacle, Reason, State
 from swarmd.core.values import Pose, SharedPose, Twist
 from swarmd.daemon.recording import frames, messages
 from swarmd.daemon.recording.head import head_of
@@ -37,6 +37,7 @@ from swarmd.robot.actions import Actions
 from swarmd.robot.protection.decision import Decision
 from swarmd.robot.protection.fence.fence_settings import FenceSettings
 from swarmd.robot.robot import Robot
+from tests.support.hand import BACK, FORWARD, HandOn
 from tests.support.recorded_stories import ORIGINS, PATTERNS, Busy, Story, repeat, rewritten
 
 
@@ -466,6 +467,31 @@ def test_hazards_are_repeated(tmp_path: Path) -> None:
     robot.advance(1.0)
     story.run("drive", speed=0.15)
     assert_equal(story.replayed(), 150)
+
+
+def test_a_hand_is_repeated_to_the_bit(tmp_path: Path) -> None:
+    """Taken above a run, driven with late words, lost, resumed; and taken before the recording."""
+    story = Story(tmp_path)
+    robot = story.robot
+    hand = HandOn(robot)
+    robot.advance(1.0)
+    hand.take()
+    hand.drive(0.3, BACK)
+    story.recorder.begin(robot)
+    hand.drive(0.5, BACK)
+    assert robot.twist.linear < 0.0
+    hand.release()
+    story.run("drive", speed=0.1)
+    hand.take()
+    hand.drive(0.5, FORWARD)
+    hand.word(BACK, age=1.0)
+    hand.drive(0.5, BACK)
+    robot.advance(1.0)
+    assert robot.status.reason is Reason.HAND_LOST
+    robot.applied("resume")
+    robot.advance(1.0)
+    assert not robot.twist.is_zero
+    assert_equal(story.replayed(), 60)
 
 
 def test_another_c_library_is_named(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from msgspec.structs import replace
 
 from swarmd.core.codec import encode
 from swarmd.core.errors import CodecError
-from swarmd.core.messages import PeerView, Status
+from swarmd.core.messages import Member, PeerView, Presence, Status
 from swarmd.link.datagram import (
     MAX_STATUS_PARTS,
     STATUS_PART_BYTES,
@@ -15,6 +15,7 @@ from swarmd.link.datagram import (
     Beacon,
     Flag,
     MemberList,
+    MemberReport,
     Solicit,
     StatusPart,
     pack,
@@ -293,14 +294,70 @@ def test_an_answer_without_parts_is_dialled_and_not_asked_again(parts: StatusPar
     assert not parts.refusing
     parts.on_beacon(heard("a", 0), 0.0)
     assert [*parts.refusing] == [one]
-    assert not parts.is_ask_due(one, 5.0, 0.0)
+    assert parts.begin_asks([one], 5.0, 0.0, 128) == []
 
 
 def test_a_robot_is_asked_again_once_a_round_trip_is_over(parts: StatusParts) -> None:
     one = ("a", LIFE.hex())
-    assert parts.is_ask_due(one, 0.0, 0.2)
-    assert not parts.is_ask_due(one, 0.29, 0.2)
-    assert parts.is_ask_due(one, 0.31, 0.2)
+    assert parts.begin_asks([one], 0.0, 0.2, 128) == [one]
+    assert parts.begin_asks([one], 0.29, 0.2, 128) == []
+    assert parts.begin_asks([one], 0.31, 0.2, 128) == [one]
+
+
+def test_each_of_many_robots_is_asked_again_in_its_turn() -> None:
+    """At most 128 copies a solicit: of 300 the third solicit asks the last ones."""
+    look = Discovery(0.0, asks_by_datagram=True)
+    look.on_solicit(1, 0.0, wants_status=True)
+    for number in range(300):
+        address = (f"10.0.{number // 250}.{1 + number % 250}", 7440)
+        look.on_beacon(heard(f"r{number}", 2), address, 0.0)
+    turns = [look.to_ask(at) for at in (0.5, 1.0, 1.5)]
+    assert [len(turn) for turn in turns] == [128, 128, 128]
+    assert len({address for turn in turns for address in turn}) == 300
+    assert not {*turns[0]} & {*turns[1]}
+
+
+def a_list(*members: MemberReport, part: int = 0, parts: int = 1) -> MemberList:
+    return MemberList(robot="a", instance=LIFE, members=members, part=part, parts=parts, echo=1)
+
+
+def told_status(look: Discovery) -> None:
+    """The robot `a` is heard, and its whole status has come by datagram."""
+    look.on_solicit(1, 0.0, wants_status=True)
+    look.on_beacon(heard("a", 1), ("10.0.0.1", 7440), 0.01)
+    for one in status_parts("a", LIFE, 1, CONTENT):
+        look.on_status_part(one, 0.02)
+    assert look.result(0.02).members["a"].status is not None
+
+
+def test_a_status_by_datagram_is_an_answer_once_the_whole_member_list_has_come() -> None:
+    """The list names a robot that only this robot hears."""
+    look = Discovery(0.0, asks_by_datagram=True)
+    told_status(look)
+    assert not look.answered
+    assert not look.is_complete(2.0)
+    other = MemberReport(
+        robot="b", instance=bytes(6), presence=0, age=0, host="10.0.0.2", port=7440
+    )
+    look.on_member_list(a_list(other, parts=2), 0.03)
+    assert not look.answered
+    look.on_member_list(a_list(part=1, parts=2), 0.04)
+    assert look.answered == {"a"}
+    assert look.result(0.04).expected == {"a", "b"}
+    assert not look.is_complete(2.0)  # b has not answered
+
+
+def test_a_robot_whose_member_list_is_lost_is_dialled_and_names_its_members() -> None:
+    look = Discovery(0.0, asks_by_datagram=True)
+    told_status(look)
+    assert look.to_link(0.01 + 0.9 * PARTS_WAIT) == {}
+    wait = StatusParts.wait(look.round_trip)
+    assert look.to_link(0.01 + wait) == {("a", LIFE.hex()): ("10.0.0.1", 7440)}
+    other = Member(robot="b", instance="00" * 6, presence=Presence.ALIVE, age=0.0)
+    status = light_status("a", LIFE.hex())
+    look.on_view(PeerView(robot="a", status=status, members=(other,)), 0.5)
+    assert look.answered == {"a"}
+    assert look.result(0.5).expected == {"a", "b"}
 
 
 @pytest.mark.parametrize("robot", ["b", "a"])

@@ -71,6 +71,26 @@ def test_a_turn_of_a_stop_makes_no_view_of_all_robots(
     assert pending.outcome(0.02).missing == ("a", "b")
 
 
+def test_a_turn_of_a_stop_asks_of_no_further_robot_once_one_still_moves(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each ack of a base that moves begins a turn: those of N robots would cost N * N answers."""
+    pending = make(rig)
+    ack(pending, "a", is_moving=True)
+    ack(pending, "b", is_moving=True)
+    asked: set[str] = set()
+    holders = rig.found.holders
+
+    def noted(robot: str) -> frozenset[str]:
+        asked.add(robot)
+        return holders(robot)
+
+    monkeypatch.setattr(rig.found, "holders", noted)
+    assert not pending.is_done(0.02)
+    assert len(asked) == 1
+    assert pending.lacking(0.02) == ("a", "b")
+
+
 def test_a_robot_that_does_not_rest_yet_is_waited_for_and_never_counts(rig: Rig) -> None:
     pending = make(rig)
     ack(pending, "a")

@@ -23,6 +23,7 @@ class FakeHand:
 
     def __init__(self) -> None:
         self.moves: list[tuple[float, float, float]] = []
+        self.slides: list[float] = []
         self.ends: list[str] = []
         self.over = ""
 
@@ -32,6 +33,7 @@ class FakeHand:
         if self.over:
             raise RequestError(self.over, 1)
         self.moves.append((forward, turn, seconds))
+        self.slides.append(left)
 
     def release(self) -> Outcome:
         self.ends.append("released")
@@ -89,10 +91,13 @@ def test_words_drive_until_the_button_releases() -> None:
         rig.move(0.1)
         rig.move(0.2)
         assert rig.robot.moves == [(0.1, 0.2, STICK_TIME), (0.2, 0.2, STICK_TIME)]
+        rig.page.on_word({"do": "move", "order": 3, "left": "fast"}, 0.1)
+        rig.page.on_word({"do": "move", "order": 4, "forward": 0.1, "left": -0.3}, 0.1)
+        assert rig.robot.slides == [0.0, 0.0, -0.3]  # a base that moves sideways
         rig.page.on_word({"do": "release"}, 0.1)
         rig.move(0.3)
         assert await rig.ended() == "released"
-        assert len(rig.robot.moves) == 2
+        assert len(rig.robot.moves) == 3
         assert rig.told[-1]["text"] == "released"
 
     asyncio.run(drive())

@@ -1410,6 +1410,7 @@ def test_a_stick_drives_the_selected_robot_until_it_is_released_or_lost(
             assert size >= 44
             assert 0.0 <= x <= width - size
             assert y + size <= height
+            assert page.evaluate("document.getElementById('slide').hidden")  # its base cannot
             point(page, "mousePressed", *middle)
             point(page, "mouseMoved", middle[0], y + 4.0)
             wait_until(lambda: any(ahead > 0.1 for ahead, _, _ in hands[-1].moves), "it drives")

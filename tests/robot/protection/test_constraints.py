@@ -257,6 +257,18 @@ def test_counts_from_another_memory_are_refused() -> None:
         checked.check_indices()
 
 
+def test_the_number_of_points_beside_a_stop_is_one_of_its_arrays() -> None:
+    """A robot that saw none has none."""
+    because = "the compiled form hides the number"
+    points = interpreted("swarmd.robot.protection.stopping", because=because).StopPoints()
+    points.count = 0
+    points.check_indices()
+    for wrong in (-1, len(points.x) + 1):
+        points.count = wrong
+        with pytest.raises(ValueError, match=str(wrong)):
+            points.check_indices()
+
+
 @pytest.mark.parametrize("nearest", [0, 1, 2])
 def test_without_a_tight_constraint_the_nearest_obstacle_is_reported(nearest: int) -> None:
     """Then the stop check alone limits the command."""

@@ -7,6 +7,7 @@ from dataclasses import replace
 from random import Random
 from typing import TYPE_CHECKING, Any
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given
@@ -26,7 +27,7 @@ from swarmd.robot.protection.decision import (
     ToldObstacle,
 )
 from swarmd.robot.protection.footprint import ScanGeometry
-from swarmd.robot.protection.settings import Mode
+from swarmd.robot.protection.settings import Mode, Speed
 from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import scan_from
 from tests.support.kernel_forms import both_forms, compares_forms, interpreted
@@ -390,3 +391,30 @@ def test_compiled_and_interpreted_code_decide_the_same(mode: Mode, avoidance: st
         twist = decisions[0].safe
         seen.add((decisions[0].reason, decisions[0].is_active, decisions[0].is_recovering))
     assert len(seen) >= (3 if mode == "off" else 4)
+
+
+@pytest.mark.parametrize(
+    ("lidar", "ring", "least"),
+    [(None, 1.0, 1.0), (1.0, None, 1.0), (1.0, 2.0, 1.0), (2.0, 1.0, 1.0), (None, None, None)],
+)
+def test_the_least_gap_is_that_of_lidar_or_ring(
+    lidar: float | None, ring: float | None, least: float | None
+) -> None:
+    """In m from the front of a Burger, of a return straight ahead."""
+    protection = Protection(with_mode(BURGER, "off"))
+    front = max(x for x, _ in BURGER.footprint)
+    near = () if ring is None else (ToldObstacle(front + ring, 0.0, radius=0.0, age=0.0),)
+    context = DecisionContext(0.0, 0.05, near=near)
+    ranges = np.full(360, np.inf)
+    if lidar is not None:
+        ranges[0] = lidar + front - BURGER.scan.offset[0]
+    scan = scan_from(BURGER, ranges, BURGER.scan.bearings)
+    protection.observe(scan, context)
+    decision = protection.decide(REQUESTED, context, is_running=True, hold=None)
+    assert decision.min_gap == (None if least is None else pytest.approx(least, abs=1e-6))
+
+
+def test_a_speed_above_20_m_s_is_no_setting() -> None:
+    assert msgspec.convert(20.0, Speed) == 20.0
+    with pytest.raises(msgspec.ValidationError):
+        msgspec.convert(20.5, Speed)

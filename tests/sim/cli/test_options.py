@@ -138,3 +138,17 @@ def test_bench_takes_names_and_paths(here: Path) -> None:
 def test_a_run_of_robots_names_the_verb_that_sends_a_file(text: str) -> None:
     with pytest.raises(ConfigError, match=f"plugin push {text}"):
         Run(pattern=text).check()
+
+
+@pytest.mark.parametrize("path", ["none", "mine/wall.py"])
+def test_a_variable_that_names_no_folder_is_named_in_one_line(path: str) -> None:
+    """The user has typed no --plugin-dir, of which the line would say nothing else."""
+    done = called("own", variable=path)
+    assert isinstance(done.exception, ConfigError)
+    line = str(done.exception)
+    assert VARIABLE in line
+    assert path in line
+    assert "\n" not in line
+    typed = called("own", "--plugin-dir", path)
+    assert typed.exit_code == 2
+    assert VARIABLE not in typed.output

@@ -9,12 +9,14 @@ import pytest
 
 from swarmd.core.errors import ConfigError
 from swarmd.plugins import pattern_folders
+from swarmd.sim.experiments import outcomes as outcomes_module
 from swarmd.sim.experiments.outcomes import (
     NAME,
     OutcomeFinding,
     Outcomes,
     judge,
     judged_folder,
+    left_out_seeds,
     outcomes_file,
     read_outcomes,
     samples_of,
@@ -129,6 +131,8 @@ def test_paths_begin_at_the_folder_of_the_file(tmp_path: Path) -> None:
         (row_of(runs="[own, own]"), "each of them once"),
         (row_of(runs="[own, oter]"), "did you mean 'other'"),
         (row_of(runs="[own, other]", over="other"), "take the mean"),
+        (row_of(runs="own", over="other", requirement="runs >= 3"), "number of runs"),
+        (row_of(runs="own", over="{metric: runs}"), "number of runs"),
     ],
 )
 def test_a_wrong_file_is_an_error_that_names_it(text: str, wanted: str, tmp_path: Path) -> None:
@@ -330,3 +334,44 @@ def test_a_folder_without_runs_says_which_are_missing(tmp_path: Path) -> None:
     findings, missing = judged_folder(tmp_path)
     assert findings == []
     assert missing == "own: no run, other: no run"
+
+
+@pytest.mark.parametrize(
+    ("requirement", "verdict"), [("runs >= 2", "met"), ("runs >= 3", "not met")]
+)
+def test_a_row_may_ask_a_number_of_runs(requirement: str, verdict: str, tmp_path: Path) -> None:
+    own = results_of("minimum_gap", 6.0, 4.0)
+    finding = judged(tmp_path, requirement, own).finding
+    assert (finding.value, finding.verdict, finding.few) == (2.0, verdict, 0)
+    assert read_outcomes(tmp_path / NAME).metrics("own") == []
+
+
+@pytest.mark.parametrize(
+    ("seeds", "is_complete"),
+    [((0, 1, 2), True), ((0, 1, 2, 3), True), ((0, 1), False), ((3, 4, 5), False), ((), False)],
+)
+def test_seeds_of_the_file_that_were_not_run_are_missing(
+    seeds: tuple[int, ...], is_complete: bool, tmp_path: Path
+) -> None:
+    """`exp run FILE --seeds 2` is a quick look: it tries no row of a file with three."""
+    outcomes = read(tmp_path, f"{HEAD}outcomes:\n{ROW}")
+    assert (left_out_seeds(outcomes, "runs", seeds) == "") is is_complete
+
+
+def test_a_quick_look_is_no_check_of_a_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read(tmp_path, f"{HEAD}outcomes:\n{ROW}")
+
+    def missing(seeds: tuple[int, ...]) -> str:
+        plan = Plan("drive", seeds, (Variant("", {}, {}),))
+        rows = [RunRow(run, {"path_length": 1.0}, 0.1) for run in plan.runs]
+        found = Results(tmp_path / "runs", plan, rows, {}, ("path_length",))
+        monkeypatch.setattr(outcomes_module, "load_results", lambda folder: found)
+        findings, text = judged_folder(tmp_path)
+        assert [one.finding.verdict for one in findings] == [Verdict.MET]
+        return text
+
+    (tmp_path / "runs").mkdir()
+    assert missing((0, 1, 2)) == ""
+    assert missing((0, 1)).startswith("runs: 2 of the 3 seeds")

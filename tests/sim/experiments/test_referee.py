@@ -6,6 +6,7 @@ import hashlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -23,10 +24,12 @@ from swarmd.sim.experiments.referee import (
     SOUND,
     STAND,
     WORSE,
+    Case,
     bits_of,
     cases_of,
     controller_of,
     digest_of,
+    findings_of,
     parse_until,
 )
 from swarmd.sim.experiments.simulate import run_here
@@ -184,6 +187,21 @@ def test_a_verdict_follows_from_the_direction_of_the_metric(
 def test_bits_are_a_digest_of_all_runs_in_their_order() -> None:
     assert bits_of(["a", "b"]) == hashlib.sha256(b"a\nb").hexdigest()[:12]
     assert bits_of(["b", "a"]) != bits_of(["a", "b"])
+
+
+def test_cases_of_which_no_run_finished_are_open() -> None:
+    """They have the same bits: none."""
+    metric = metric_of("protection_duty")
+    plan: Any = None
+
+    def failed(case: str) -> tuple[Case, Any]:
+        results = SimpleNamespace(
+            rows=[], failures={"0": "boom"}, pattern_faults={}, variants=["a"]
+        )
+        return Case("task", case, plan, metric), results
+
+    found = findings_of([failed(case) for case in (SOUND, "scan_frozen", STAND)])
+    assert [(one.verdict, one.runs, one.failed) for one in found] == [(OPEN, 0, 1)] * 3
 
 
 def test_a_requirement_names_a_task() -> None:

@@ -10,10 +10,11 @@ const element = (id) => document.getElementById(id);
 export class Stick {
   // `send` returns false without a link.
   constructor(model, send) {
-    Object.assign(this, { model, send, robot: '', isHeld: false, order: 0, at: [0, 0], keys: new Set() });
+    Object.assign(this, { model, send, robot: '', isHeld: false, order: 0, at: [0, 0], keys: new Set(), slides: false });
     this.stick = element('stick');
     element('drive').addEventListener('click', () => this.take());
     element('release').addEventListener('click', () => this.word('release'));
+    element('slide').addEventListener('click', () => this.slide(!this.slides));
     this.stick.addEventListener('pointerdown', (event) => this.down(event));
     this.stick.addEventListener('pointermove', (event) => this.move(event));
     this.stick.addEventListener('pointerup', (event) => this.up(event));
@@ -54,6 +55,7 @@ export class Stick {
     this.isHeld = isHeld && !document.hidden && this.robot !== '';
     if (isHeld && !this.isHeld) this.word('lost');
     if (!isHeld) this.robot = '';
+    this.slide(false);
     this.rest();
     this.tell(text);
     this.draw();
@@ -104,6 +106,12 @@ export class Stick {
     if (!isDown) this.tick();
   }
 
+  // Of a base that can move sideways: left and right slide, in place of a turn.
+  slide(isOn) {
+    this.slides = isOn;
+    element('slide').setAttribute('aria-pressed', String(isOn));
+  }
+
   rest() { this.pointer = undefined; this.keys.clear(); this.to(0, 0); }
 
   to(ahead, left) {
@@ -115,9 +123,10 @@ export class Stick {
   tick() {
     if (!this.isHeld || document.hidden) return;
     const limits = this.model.robots.get(this.robot)?.row.limits;
-    const [linear, angular] = limits || [0, 0];
+    const [linear, angular, lateral] = limits || [0, 0, 0];
+    const turn = this.slides ? 0 : this.at[1] * angular, left = this.slides ? this.at[1] * lateral : 0;
     this.order += 1;
-    this.send({ kind: 'hand', do: 'move', order: this.order, forward: this.at[0] * linear, turn: this.at[1] * angular, seen: this.model.sequence });
+    this.send({ kind: 'hand', do: 'move', order: this.order, forward: this.at[0] * linear, turn, left, seen: this.model.sequence });
   }
 
   draw() {
@@ -126,6 +135,7 @@ export class Stick {
     element('drive').hidden = !isThere || this.robot !== '' || Boolean(robot.row.driven_by);
     element('hand').hidden = !this.isHeld;
     if (!this.isHeld || !robot) return;
+    element('slide').hidden = !robot.row.limits?.[2];
     const { safe, requested } = robot.row, isStill = safe && safe.every((one) => one === 0), asks = this.at.some((one) => one !== 0);
     const held = isStill && asks && requested ? ` does not move: ${reasonOf(robot.row, this.model.time) || wordOf(robot.row)}` : '';
     element('hand-why').textContent = `${name}: ${robot.row.driven_by ? `driven by ${robot.row.driven_by}` : 'waits'}${held}`;

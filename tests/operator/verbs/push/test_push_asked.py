@@ -37,8 +37,8 @@ CODE = b"x = 1\n" + b"#" * 70_000  # three pieces
 class Robots:
     """Robots that take pushes, in place of an operator.
 
-    `own` have a pattern of that name themselves, `silent` answer nothing, and `raises` return to
-    the version before when they run new code.
+    `own` have a pattern of that name themselves, `silent` answer nothing, `ceasing` answer the
+    first piece alone, and `raises` return to the version before when they run new code.
     """
 
     name, identity = "anna@laptop", None
@@ -49,6 +49,7 @@ class Robots:
         *,
         own: Collection[str] = (),
         silent: Collection[str] = (),
+        ceasing: Collection[str] = (),
         raises: Collection[str] = (),
     ) -> None:
         self.settings = NetworkSettings(swarm="s")
@@ -57,6 +58,8 @@ class Robots:
         self.names = tuple(names)
         self.own = set(own)
         self.silent = set(silent)
+        self.ceasing = set(ceasing)
+        self.asked: dict[str, list[int]] = {}  # by robot: the offsets of the pieces sent to it
         self.raises = set(raises)
         self.patterns: dict[str, PushedPatternReport] = {}  # by robot
         self.manifests: list[PatternManifest] = []
@@ -96,13 +99,14 @@ class Robots:
         manifest = read_entry(Signed(fields["content"], fields["signature"])).manifest
         self.manifests.append(manifest)
         replies = {robot: self._reply(robot, manifest, **fields) for robot in epochs}
-        missing = tuple(sorted(self.silent & {*epochs}))
+        missing = tuple(sorted(name for name, one in replies.items() if one is None))
         return Outcome({name: one for name, one in replies.items() if one is not None}, missing)
 
     def _reply(
         self, robot: str, manifest: PatternManifest, *, offset: int, data: bytes, **_: Any
     ) -> Reply | None:
-        if robot in self.silent:
+        self.asked.setdefault(robot, []).append(offset)
+        if robot in self.silent or (robot in self.ceasing and offset > 0):
             return None
         if robot in self.own and not manifest.replaces:
             text = f"the robot has a pattern {manifest.name!r} of its own; see --replace"
@@ -163,6 +167,17 @@ def test_a_push_names_who_took_it_had_it_refused_it_and_was_silent(file: Path) -
     assert robots.code["r2"] == CODE
     last = robots.manifests[-1]
     assert (last.generation, last.targets, last.version) == (2, (), "2.0")
+
+
+def test_a_robot_that_is_silent_at_a_later_piece_is_missing_alone(file: Path) -> None:
+    robots = Robots(["r1", "r2", "r3"], own=["r3"], ceasing=["r2"])
+    with swarm_of(robots) as swarm:
+        outcome = swarm.push(file)
+    assert (outcome.taken, outcome.missing) == (("r1",), ("r2",))
+    assert (outcome.refused, outcome.exit_code) == (("r3",), 3)
+    assert outcome.replies.keys() == {"r1", "r3"}
+    first, second, _ = robots.asked["r1"]
+    assert robots.asked == {"r1": robots.asked["r1"], "r2": [first, second], "r3": [first]}
 
 
 async def test_a_push_is_awaited(file: Path) -> None:
