@@ -16,7 +16,6 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 from queue import SimpleQueue
 from typing import NamedTuple
@@ -124,17 +123,11 @@ class Copy:
 def _files() -> Sequence[str]:
     words = ["git", "ls-files", "--cached", "--others", "--exclude-standard", "-z"]
     listed = subprocess.check_output(words, cwd=ROOT, text=True)
-    return [*(name for name in listed.split("\0") if name), *libraries()]
-
-
-def libraries() -> Sequence[str]:
-    """The compiled kernels of this checkout, relative to the root.
-
-    Those of a clone have the suffix of its Python, those of a wheel that of the stable ABI.
-    """
-    names = [name.replace(".", "/").replace("swarmd/sim/", "sim/") for name in (*LIBRARIES, VIEWS)]
-    paths = [f"{name}{suffix}" for name in names for suffix in EXTENSION_SUFFIXES]
-    return sorted(path for path in paths if (ROOT / path).exists())
+    libraries = {
+        f"{name.replace('.', '/')}.abi3.so".replace("swarmd/sim/", "sim/")
+        for name in (*LIBRARIES, VIEWS)
+    }
+    return [*(name for name in listed.split("\0") if name), *sorted(libraries)]
 
 
 def planned(chosen: Sequence[Subject]) -> Iterator[_Planned]:

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 
 import pytest
 
-from studies.mutants import __main__ as mutants
 from studies.mutants.judged import Judged, faults, read
 from studies.mutants.mutant import Mutant, is_drawn, mutants_of
 from studies.mutants.subjects import ROOT, subjects
@@ -94,19 +92,6 @@ def test_a_survivor_that_is_not_listed_fails(is_killed: bool, kind: str, is_faul
 def test_a_row_without_its_mutant_fails_once_all_were_tried() -> None:
     assert len(faults({}, judged("open"))) == 1
     assert faults({}, judged("open"), is_whole=False) == []
-
-
-def test_a_copy_has_the_compiled_kernels_of_either_kind(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Without them every trial runs interpreted, ten times as long."""
-    monkeypatch.setattr(mutants, "ROOT", tmp_path)
-    assert mutants.libraries() == []
-    built = sorted([f"sim/_world{EXTENSION_SUFFIXES[0]}", "swarmd/_led.abi3.so"])
-    for path in (*built, "swarmd/_led.pyd.so"):
-        (tmp_path / path).parent.mkdir(exist_ok=True)
-        (tmp_path / path).touch()
-    assert mutants.libraries() == built
 
 
 def test_the_list_names_files_of_the_subjects_with_a_reason() -> None:
