@@ -67,6 +67,7 @@ def make_status(
     running = lifecycle.pattern_run.running
     reason = status_reason(lifecycle, decision)
     neighbors = sensors.neighbors(now)[:MAX_NEIGHBORS]
+    passage = protection.passage
     return Status(
         robot=identity.robot,
         instance=identity.instance,
@@ -98,7 +99,7 @@ def make_status(
         scan_delay=sensors.scan_delay.summary(now),
         body=sensors.peers.own,
         peers=sensors.peers.findings(now)[:MAX_PEERS],
-        passage=protection.passage,
+        passage=passage,
         battery=_battery(lifecycle),
         findings=protection.findings,
         not_following=protection.not_following,
@@ -110,7 +111,7 @@ def make_status(
         ),
         goal=lifecycle.goals.status(now),
         words=dict(identity.platform.words.get(setup.driver, {})),
-        set_down=set_down(identity.platform, protection.passage),
+        set_down=set_down(identity.platform, passage),
         held_for=held_for,
         driven_by=_driver(lifecycle),
         **_layers(identity.platform, setup.settings, sensors, decision, protection, now),
