@@ -29,6 +29,14 @@ from tests.support.chromium import FOUND, Browser, Page, chromium
 from tests.support.examples import FULL
 from tests.support.forked_python import ForkedPython, forked_python
 from tests.support.pages import SUMMARY
+from tests.support.read_when_run import (
+    PROCESS_FIXTURES,
+    EndOfFile,
+    Progress,
+    ReadWhenRun,
+    is_told,
+    is_wanted,
+)
 from tests.support.scheduling import NICENESS, MixedScheduling, computes, order
 from tests.support.stalls import Stalls
 from tests.support.started import STARTED
@@ -55,7 +63,8 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object | 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_configure_node(node: WorkerController) -> None:
-    """Tell a worker that computes its priority."""
+    """Tell a worker that computes its priority, and each one whether it collects all tests."""
+    node.workerinput["reads_when_run"] = is_wanted(node.config)
     is_mixed = node.config.option.dist == "loadfile"
     if is_mixed and computes(node.gateway.id, node.workerinput["workercount"]):
         node.workerinput["niceness"] = NICENESS
@@ -79,6 +88,10 @@ def pytest_configure(config: pytest.Config) -> None:
     # Not for a pytest that a test starts.
     config.stash[COUNTS] = os.environ.pop("LANE_COUNTS", "")
     worker = getattr(config, "workerinput", {}).get("workerid", "")
+    if getattr(config, "workerinput", {}).get("reads_when_run"):
+        config.pluginmanager.register(ReadWhenRun(_spend_on_collection))
+    elif is_wanted(config):
+        config.pluginmanager.register(Progress())
     if (seed := os.environ.get("STALLS")) and (worker or not config.getoption("numprocesses", 0)):
         config.stash[STALLS] = Stalls(f"{seed} {worker}")
         config.add_cleanup(config.stash[STALLS].stop)
@@ -160,10 +173,6 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     items.sort(key=lambda item: places[item.path])
 
 
-PROCESS_FIXTURES = {"a_browser", "elsewhere", "hosts", "roscore", "shared_swarm"}
-"""Fixtures that start a process or need root."""
-
-
 @pytest.hookimpl(wrapper=True, tryfirst=True)
 def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
     """Fail a test that has started a process, its fixtures included, without a mark.
@@ -200,10 +209,14 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:
-    """Count the collection for itself: each worker of pytest-xdist collects all tests."""
+    """Count the collection for itself."""
     gc.freeze()
     gc.enable()
-    _spend(session.config, "(collection)")
+    _spend_on_collection(session.config)
+
+
+def _spend_on_collection(config: pytest.Config) -> None:
+    _spend(config, "(collection)")
 
 
 def _spend(config: pytest.Config, subject: str) -> None:
@@ -232,8 +245,9 @@ def pytest_runtest_makereport(
     """Add the CPU time since the last report; pytest-xdist hands a report over with all it has."""
     report = yield
     _spend(item.config, "/".join(PurePath(report.location[0]).parts[:2]))
-    report.user_properties.append(("cpu_spent", item.config.stash[CPU_SPENT]))
-    item.config.stash[CPU_SPENT] = {}
+    if is_told(report) and not isinstance(item, EndOfFile):
+        report.user_properties.append(("cpu_spent", item.config.stash[CPU_SPENT]))
+        item.config.stash[CPU_SPENT] = {}
     if report.failed and (stalls := item.config.stash.get(STALLS, None)):
         report.sections.append(("stalls", stalls.said()))
     return report

@@ -14,6 +14,7 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Iterable
+from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
 from pathlib import Path
@@ -168,17 +169,60 @@ def tree_of(path: Path) -> ast.Module:
     return ast.parse(path.read_text())
 
 
-@cache
-def imports(path: Path) -> list[tuple[int, str]]:
+@dataclass(frozen=True, slots=True)
+class Facts:
+    """What tests ask of a file. Its tree is let go: those of all files take a gigabyte."""
+
+    imports: list[tuple[int, str]]
     """(line, module) of each import, also of a name that might be a module itself."""
+    silent_imports: list[int]
+    """The lines of imports inside functions without a reason near them."""
+    packed: list[str]
+    """Line and text of each packed assignment; read in CODE alone."""
+
+
+@cache
+def facts(path: Path) -> Facts:
+    text = path.read_text()
+    tree = ast.parse(text)
+    body = [*statements(tree)]
+    is_code = path.relative_to(ROOT).parts[0] in CODE
+    return Facts(
+        imports=[one for node in body for one in _imported(node)],
+        silent_imports=_silent(body, text.splitlines()) if is_code else [],
+        packed=_packed(tree) if is_code else [],
+    )
+
+
+def imports(path: Path) -> list[tuple[int, str]]:
+    return facts(path).imports
+
+
+def _imported(node: ast.stmt) -> list[tuple[int, str]]:
+    if isinstance(node, ast.Import):
+        return [(node.lineno, alias.name) for alias in node.names]
+    if not isinstance(node, ast.ImportFrom):
+        return []
+    package = (node.lineno, "." * node.level + (node.module or ""))
+    return [package, *((node.lineno, f"{node.module}.{alias.name}") for alias in node.names)]
+
+
+def _silent(body: list[ast.stmt], lines: list[str]) -> list[int]:
+    """The first import of each function that has some, none of which has a comment near it."""
     found = []
-    for node in statements(tree_of(path)):
-        if isinstance(node, ast.Import):
-            found += [(node.lineno, alias.name) for alias in node.names]
-        elif isinstance(node, ast.ImportFrom):
-            found.append((node.lineno, "." * node.level + (node.module or "")))
-            found += [(node.lineno, f"{node.module}.{alias.name}") for alias in node.names]
+    for function in body:
+        if not isinstance(function, ast.FunctionDef | ast.AsyncFunctionDef):
+            continue
+        inner = [node for part in function.body for node in statements(part)]
+        late = [node for node in inner if isinstance(node, ast.Import | ast.ImportFrom)]
+        near = {n for node in late for n in range(node.lineno - 2, node.end_lineno or 0)}
+        if late and not any("#" in lines[n] for n in near):
+            found.append(min(node.lineno for node in late))
     return found
+
+
+def _packed(tree: ast.Module) -> list[str]:
+    return [f"{node.lineno} {ast.unparse(node)[:60]}" for node in packed_assignments(tree)]
 
 
 def is_within(module: str, package: str) -> bool:
@@ -228,26 +272,14 @@ def test_an_import_inside_a_function_says_why() -> None:
     for path in sources("swarmd", "patterns", "drivers"):
         if name_of(path).startswith(LATE_IMPORTS):
             continue
-        lines = path.read_text().splitlines()
-        for function in ast.walk(tree_of(path)):
-            if not isinstance(function, ast.FunctionDef | ast.AsyncFunctionDef):
-                continue
-            inner = [node for part in function.body for node in ast.walk(part)]
-            late = [node for node in inner if isinstance(node, ast.Import | ast.ImportFrom)]
-            near = {n for node in late for n in range(node.lineno - 2, node.end_lineno or 0)}
-            if late and not any("#" in lines[n] for n in near):
-                silent.append(f"{name_of(path)}:{late[0].lineno}")
+        silent += [f"{name_of(path)}:{line}" for line in facts(path).silent_imports]
     assert silent == []
 
 
 @pytest.mark.parametrize("folder", ["swarmd", "patterns", "drivers", "sim"])
 def test_one_statement_assigns_one_thing(folder: str) -> None:
     """Swaps, shifts and the unpacking of one value stay: see tests/support/packed.py."""
-    found = [
-        f"{name_of(path)}:{node.lineno} {ast.unparse(node)[:60]}"
-        for path in sources(folder)
-        for node in packed_assignments(tree_of(path))
-    ]
+    found = [f"{name_of(path)}:{one}" for path in sources(folder) for one in facts(path).packed]
     assert found == []
 
 

@@ -70,6 +70,7 @@ def make_status(
     running = lifecycle.pattern_run.running
     reason = status_reason(lifecycle, decision)
     neighbors = sensors.neighbors(now)[:MAX_NEIGHBORS]
+    passage = protection.passage
     return Status(
         robot=identity.robot,
         instance=identity.instance,
@@ -101,7 +102,7 @@ def make_status(
         scan_delay=sensors.scan_delay.summary(now),
         body=sensors.peers.own,
         peers=sensors.peers.findings(now)[:MAX_PEERS],
-        passage=protection.passage,
+        passage=passage,
         battery=_battery(lifecycle),
         findings=protection.findings,
         not_following=protection.not_following,
@@ -113,7 +114,7 @@ def make_status(
         ),
         goal=lifecycle.goals.status(now),
         words=dict(identity.platform.words.get(setup.driver, {})),
-        set_down=set_down(identity.platform, protection.passage),
+        set_down=set_down(identity.platform, passage),
         held_for=held_for,
         driven_by=_driver(lifecycle),
         peer_faults=peer_faults[:MAX_PEERS],

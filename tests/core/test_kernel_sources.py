@@ -22,6 +22,8 @@ from tests.support.kernel_forms import typed_text
 
 ROOT = Path(__file__).resolve().parents[2]
 
+pytestmark = pytest.mark.compiled_only(reason="reads the sources of both forms")
+
 REASONS = tomllib.loads(Path(__file__).with_name("kernel_sources.toml").read_text())
 """By unit: what a rule yields, and why it is alike in both forms."""
 

@@ -275,9 +275,9 @@ class Invariants:
             cause = daemon.cause
             is_ended = known.was_running and isinstance(request, StopRequest)
             is_ended &= not self._is_of_two_machines(cause, request)
-            is_ended &= not self._is_logged(daemon, Reason.LOOP_STALLED)
             late = 0.0 if cause is None else self._wanted(cause) - issued
-            if is_ended and late > AGE_SHIFT + self._unseen_by(daemon, request.id):
+            is_ended &= late > AGE_SHIFT + self._unseen_by(daemon, request.id)
+            if is_ended and not self._is_logged(daemon, Reason.LOOP_STALLED):
                 raise BrokenRuleError(
                     "cause",
                     f"the run of {daemon.name} is ended by a stop that was issued"

@@ -10,10 +10,12 @@ from __future__ import annotations
 import ast
 from collections.abc import Iterator
 
+from tests.support.shape import statements
+
 
 def packed_assignments(tree: ast.Module) -> Iterator[ast.Assign]:
     """The packed assignments of a file."""
-    for node in ast.walk(tree):
+    for node in statements(tree):
         if isinstance(node, ast.Assign) and (_is_chain(node) or _is_packed(node)):
             yield node
 

@@ -61,6 +61,7 @@ from swarmd.testing.scans import empty_scan
 
 ScanSource = Callable[[int, float], Scan | None]
 _platform = cache(load_platform)  # each story has a robot of its own
+_version = cache(version)  # which parses the metadata of the package
 
 
 def acted(robot: Robot, input: Input, now: float) -> Actions:
@@ -130,7 +131,7 @@ class RobotHarness:
             self.platform,
             RobotSetup(
                 driver="story",
-                version=version("swarmd"),
+                version=_version("swarmd"),
                 kernels=describe_kernels(),
                 settings=RobotSettings(
                     touch=touch or {}, fence=fence, on_low_battery=on_low_battery

@@ -104,6 +104,13 @@ class MixedScheduling(LoadFileScheduling):  # type: ignore[misc]
         self.workqueue.move_to_end((fitting or [*self.workqueue])[0], last=False)
         super()._assign_work_unit(node)
 
+    def _reschedule(self, node: WorkerController) -> None:
+        """Give a worker its next file when it begins the last step of one, and not earlier."""
+        if node.shutting_down or not self.workqueue:
+            super()._reschedule(node)
+        elif self._pending_of(self.assigned_work[node]) <= 1:
+            self._assign_work_unit(node)
+
     def _others_go_on(self, node: WorkerController) -> bool:
         """Whether another worker takes the files that wait."""
         others = (one for one in self.nodes if one is not node and not one.shutting_down)

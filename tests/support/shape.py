@@ -44,7 +44,7 @@ CLOSURES = (
 """Modules whose imports a test lists by room."""
 
 
-def statements(tree: ast.Module) -> Iterator[ast.stmt]:
+def statements(tree: ast.Module | ast.stmt) -> Iterator[ast.stmt]:
     """All statements, without the expressions in them: these are nine tenths of the nodes."""
     inner: list[Any] = [tree]
     while inner:
@@ -70,7 +70,8 @@ def import_closure(module: str, *, at_start: bool = False, root: Path = ROOT) ->
         path = _file_of(name, root)
         if path is not None and name not in known:
             known[name] = path
-            waiting += _imported(path, at_start)
+            ever, start = _imported(path)
+            waiting += start if at_start else ever
     return {name: path for name, path in known.items() if path.name != "__init__.py"}
 
 
@@ -100,16 +101,23 @@ def _at_start(tree: ast.Module) -> Iterator[ast.stmt]:
 
 
 @cache
-def _imported(path: Path, at_start: bool) -> tuple[str, ...]:
-    """The modules that a module imports, and each imported name, which might be a module."""
+def _imported(path: Path) -> tuple[list[str], list[str]]:
+    """The modules that a module imports, and each imported name, which might be a module.
+
+    First those of all statements, then those of an import of the module.
+    """
     tree = ast.parse(path.read_text(encoding="utf-8"))
+    return _names(statements(tree)), _names(_at_start(tree))
+
+
+def _names(body: Iterable[ast.stmt]) -> list[str]:
     found = []
-    for node in _at_start(tree) if at_start else statements(tree):
+    for node in body:
         if isinstance(node, ast.Import):
             found += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             found += [f"{node.module}", *(f"{node.module}.{alias.name}" for alias in node.names)]
-    return tuple(found)
+    return found
 
 
 def keys_of(*files: type[Struct]) -> dict[type[Struct], set[str]]:
