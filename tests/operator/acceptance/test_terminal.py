@@ -179,13 +179,15 @@ class Person:
     def __init__(self, keyboard: int, one: Talk, robot: FakeRobot, *lines: bytes) -> None:
         self._keyboard, self._one, self._robot, self._lines = keyboard, one, robot, list(lines)
         self._asked = threading.Event()
-        discard = one._person.discard
+        assert isinstance(one._person, shell.Terminal)
+        self._terminal = one._person
+        discard = self._terminal.discard
 
         def discard_and_tell() -> None:  # what was typed before a question is discarded
             discard()
             self._asked.set()
 
-        one._person.discard = discard_and_tell  # type: ignore[method-assign]
+        self._terminal.discard = discard_and_tell  # type: ignore[method-assign]
         threading.Thread(target=self._answer, daemon=True).start()
 
     def _answer(self) -> None:
@@ -203,7 +205,7 @@ class Person:
         def stop_moving() -> None:
             self._robot.is_moving.wait(CAP)
             while self._robot.is_moving.is_set():
-                if not self._one._person._gives_lines:  # type: ignore[union-attr]  # a terminal
+                if not self._terminal._gives_lines:
                     time.sleep(0.3)
                     stop()
                     time.sleep(3.0)
