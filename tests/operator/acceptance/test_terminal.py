@@ -173,25 +173,21 @@ def talk(robot: FakeRobot, folder: Path, *steps: Step) -> Talk:
     return Talk(Dialogue(steps, {}), robot, shell.Terminal(), results)  # type: ignore[arg-type]
 
 
-def _terminal(one: Talk) -> shell.Terminal:
-    assert isinstance(one._person, shell.Terminal)
-    return one._person
-
-
 class Person:
     """Answers each question by the next of `lines`, or the last, and stops the robot that moves."""
 
     def __init__(self, keyboard: int, one: Talk, robot: FakeRobot, *lines: bytes) -> None:
         self._keyboard, self._one, self._robot, self._lines = keyboard, one, robot, list(lines)
         self._asked = threading.Event()
-        terminal = _terminal(one)
-        discard = terminal.discard
+        assert isinstance(one._person, shell.Terminal)
+        self._terminal = one._person
+        discard = self._terminal.discard
 
         def discard_and_tell() -> None:  # what was typed before a question is discarded
             discard()
             self._asked.set()
 
-        terminal.discard = discard_and_tell  # type: ignore[method-assign]
+        self._terminal.discard = discard_and_tell  # type: ignore[method-assign]
         threading.Thread(target=self._answer, daemon=True).start()
 
     def _answer(self) -> None:
@@ -209,7 +205,7 @@ class Person:
         def stop_moving() -> None:
             self._robot.is_moving.wait(CAP)
             while self._robot.is_moving.is_set():
-                if not _terminal(self._one)._gives_lines:
+                if not self._terminal._gives_lines:
                     time.sleep(0.3)
                     stop()
                     time.sleep(3.0)
