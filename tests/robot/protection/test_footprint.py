@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from swarmd.core.values import Array, Scan, ScanSpec
@@ -84,7 +84,8 @@ def test_the_nearest_is_the_smallest_of_all_points(
     assert nearest[0] == pytest.approx(BOX.gaps(some).min(), abs=1e-9)
 
 
-@given(st.lists(st.tuples(st.floats(-3, 3), st.floats(-3, 3)), min_size=1, max_size=20))
+@given(st.lists(st.tuples(st.floats(-0.4, 0.4), st.floats(-0.4, 0.4)), min_size=1, max_size=20))
+@example([(-0.032, 0.3), (0.16, 0.244)])  # the second is nearer to the outline, not to the lidar
 def test_the_kernel_has_the_gap_of_the_nearest_bit_by_bit(
     points: list[tuple[float, float]],
 ) -> None:
