@@ -109,11 +109,6 @@ class Footprint:
         x, y = points[index].tolist()
         return float(gaps[index]), math.atan2(y, x)
 
-    def min_gap(self, scan: Scan, geometry: ScanGeometry) -> float | None:
-        """The gap in m to the nearest return; None without a return."""
-        nearest = self.nearest(scan, geometry)
-        return None if nearest is None else nearest[0]
-
     def circles(self, place: tuple[float, float]) -> tuple[float, float]:
         """Radii in m of two circles around a place: inside of, and around, the outline.
 

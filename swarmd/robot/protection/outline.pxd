@@ -17,6 +17,14 @@ cdef class Outline:
     cdef double front, rear, left, right, radius, lidar_x, lidar_y, inner, outer
     cdef inline double gap_of(self, double x, double y) except? -1.0
 
+    @cython.locals(
+        ranges=cython.const_double[::1], bearings=cython.const_double[::1],
+        count=cython.Py_ssize_t, i=cython.Py_ssize_t, range_min=cython.double,
+        least_range=cython.double, farthest=cython.double, least_gap=cython.double,
+        distance=cython.double, x=cython.double, y=cython.double, gap=cython.double
+    )
+    cpdef min_gap(self, scan)
+
     @cython.locals(k=cython.Py_ssize_t, edges=cython.Py_ssize_t)
     cdef double _gap_of_polygon(self, double x, double y) except? -1.0
 

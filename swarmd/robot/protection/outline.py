@@ -12,13 +12,13 @@ import numpy as np
 
 from swarmd.core import cython_shadow as cython
 from swarmd.core.buffers import checked, view
-from swarmd.core.cython_shadow import INFINITY, Doubles, sqrt
+from swarmd.core.cython_shadow import INFINITY, Doubles, cos, sin, sqrt
 from swarmd.core.values import Platform
 from swarmd.robot.protection.comparisons import maximum
 from swarmd.robot.protection.footprint import Footprint
 
 if TYPE_CHECKING:
-    from swarmd.core.values import Array
+    from swarmd.core.values import Array, Scan
 
 CHUNK = 64
 """Points of a chunk at most."""
@@ -142,6 +142,38 @@ class Outline:
             aside = aside if aside > 0.0 else 0.0
             return sqrt(aside * aside + ahead * ahead)
         return self._gap_of_polygon(x, y)
+
+    def min_gap(self, scan: Scan) -> float | None:
+        """The gap in m to the nearest return of a scan; None without a return.
+
+        A return too close to measure has the gap 0. Bit by bit the gap of `Footprint.nearest`, for
+        modes that look at no return otherwise.
+        """
+        ranges: Doubles = view(scan.ranges)
+        bearings: Doubles = view(scan.bearings)
+        count = len(ranges)
+        if len(bearings) != count:
+            raise IndexError(f"{count} ranges, but {len(bearings)} bearings")
+        range_min = scan.range_min
+        least_range = INFINITY
+        for i in range(count):
+            if ranges[i] < least_range:
+                least_range = ranges[i]
+        if least_range == INFINITY:
+            return None
+        if least_range == -INFINITY:
+            return 0.0
+        farthest = self.nearest_within(least_range, range_min)
+        least_gap = INFINITY
+        for i in range(count):
+            if ranges[i] <= farthest:
+                distance = ranges[i] if ranges[i] > range_min else range_min
+                x = self.lidar_x + distance * cos(bearings[i])
+                y = self.lidar_y + distance * sin(bearings[i])
+                gap = self._gap_of_polygon(x, y)
+                if gap < least_gap:
+                    least_gap = gap
+        return least_gap
 
     def _gap_of_polygon(self, x: float, y: float) -> float:
         """The least distance in m to the edges that have the point on their outer side."""

@@ -45,6 +45,7 @@ from swarmd.robot.protection.fence.fence_settings import FenceSettings
 from swarmd.robot.protection.following import FollowingMonitor
 from swarmd.robot.protection.footprint import Footprint, ScanGeometry
 from swarmd.robot.protection.modes import is_barrier, make_mode, narrowest_passage
+from swarmd.robot.protection.outline import Outline
 
 if TYPE_CHECKING:
     from collections.abc import Collection
@@ -104,6 +105,7 @@ class Protection:
     _bounds: tuple[CommandLayer, ...]  # the layers that bound commands
     _is_bounded: bool  # a bound changed the last command that `_judge` gave
     _footprint: Footprint
+    _outline: Outline | None  # of modes other than barrier
     _geometry: ScanGeometry
     _latency: float
     _has_walls: bool  # walls that have stood are assumed to stand on
@@ -133,6 +135,7 @@ class Protection:
         self._geometry = ScanGeometry(platform.scan)
         # Of the modes only barrier assumes anything.
         self._monitor = AssumptionMonitor(platform) if is_barrier(self._mode) else None
+        self._outline = None if is_barrier(self._mode) else Outline(platform)
         self.following = FollowingMonitor(platform)
         self._latency = platform.scan.latency
         self._has_walls = is_barrier(self._mode) and self._mode.has_walls
@@ -174,8 +177,8 @@ class Protection:
             if self._has_walls and self._monitor is not None:
                 self._monitor.end_wall_doubt(scan.stamp)
                 mode.trust_walls(self._monitor.trusts_walls)
-        else:
-            self._min_gap = self._footprint.min_gap(scan, geometry)
+        elif self._outline is not None:
+            self._min_gap = self._outline.min_gap(scan)
         if self._monitor is not None and self._is_running:
             ages = scan.ages  # numpy's max takes four times as long
             oldest = 0.0 if ages is None or not len(ages) else float(ages[ages.argmax()])

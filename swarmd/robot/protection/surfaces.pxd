@@ -4,7 +4,7 @@ cimport cython
 
 cdef double SURFACE_SPACING, WIDE_SURFACE
 cdef Py_ssize_t MEAN_RAYS, EDGE_RAYS
-cdef double MEAN_BELOW
+cdef double MEAN_BELOW, _SURELY_NEAR
 
 @cython.locals(
     i=cython.Py_ssize_t, begin=cython.Py_ssize_t, start=cython.Py_ssize_t, at=cython.Py_ssize_t,
@@ -16,6 +16,7 @@ cdef int find_surface_gaps(
     double[::1] surface_gap
 ) except? -1
 
+@cython.locals(across=cython.double, along=cython.double)
 cdef int _is_step(double[::1] x, double[::1] y, Py_ssize_t i, Py_ssize_t j) except -1
 
 @cython.locals(

@@ -1,17 +1,20 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from swarmd.core.values import Array, Scan, ScanSpec
 from swarmd.robot.protection.footprint import Footprint, ScanGeometry
+from swarmd.robot.protection.outline import Outline
 from tests.support.barrier_parts import BURGER, interpreted, outline_of, separation
 from tests.support.filter_sim import under_barrier
 
+OUTLINE = Outline(BURGER)
 BOX = Footprint(np.array([[-0.2, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.2, 0.1]]))
 
 
@@ -50,21 +53,46 @@ def seen(points: Array, offset: tuple[float, float]) -> tuple[Scan, ScanGeometry
 
 
 def test_no_return_has_no_gap() -> None:
-    assert BOX.min_gap(*seen(np.empty((0, 2)), (0.0, 0.0))) is None
+    assert BOX.nearest(*seen(np.empty((0, 2)), (0.0, 0.0))) is None
     scan, geometry = seen(np.array([[1.0, 0.0]]), (0.0, 0.0))
     nothing = Scan(1, 0.0, np.array([np.inf]), scan.bearings, 0.0, 10.0)
-    assert BOX.min_gap(nothing, geometry) is None
+    assert BOX.nearest(nothing, geometry) is None
+    assert OUTLINE.min_gap(nothing) is None
+
+
+def test_a_return_too_close_to_measure_has_no_gap() -> None:
+    scan = Scan(1, 0.0, np.array([0.5, -np.inf]), np.array([0.0, 1.0]), 0.12, 10.0)
+    assert OUTLINE.min_gap(scan) == 0.0
+
+
+def test_a_range_without_a_bearing_is_refused() -> None:
+    scan = SimpleNamespace(ranges=np.array([0.5, 0.6]), bearings=np.zeros(1), range_min=0.12)
+    with pytest.raises(IndexError):
+        OUTLINE.min_gap(scan)
 
 
 @given(
     st.lists(st.tuples(st.floats(-3, 3), st.floats(-3, 3)), min_size=1, max_size=20),
     st.sampled_from([(0.0, 0.0), (-0.064, 0.0), (0.09, -0.09), (0.5, 0.2)]),
 )
-def test_min_gap_is_the_smallest_of_all_points(
+def test_the_nearest_is_the_smallest_of_all_points(
     points: list[tuple[float, float]], offset: tuple[float, float]
 ) -> None:
     some = np.array(points)
-    assert BOX.min_gap(*seen(some, offset)) == pytest.approx(BOX.gaps(some).min(), abs=1e-9)
+    nearest = BOX.nearest(*seen(some, offset))
+    assert nearest is not None
+    assert nearest[0] == pytest.approx(BOX.gaps(some).min(), abs=1e-9)
+
+
+@given(st.lists(st.tuples(st.floats(-0.4, 0.4), st.floats(-0.4, 0.4)), min_size=1, max_size=20))
+@example([(-0.032, 0.3), (0.16, 0.244)])  # the second is nearer to the outline, not to the lidar
+def test_the_kernel_has_the_gap_of_the_nearest_bit_by_bit(
+    points: list[tuple[float, float]],
+) -> None:
+    scan, geometry = seen(np.array(points), BURGER.scan.offset)
+    nearest = Footprint(BURGER.footprint).nearest(scan, geometry)
+    assert nearest is not None
+    assert OUTLINE.min_gap(scan) == nearest[0]
 
 
 SQUARE = Footprint(np.array([[-0.1, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.1, 0.1]]))
@@ -118,4 +146,6 @@ def test_gaps_of_any_convex_polygon(turn: float) -> None:
     outward /= np.hypot(*outward.T)[:, None]
     assert polygon.gaps(ahead + 0.7 * outward) == pytest.approx(np.full(5, 0.7), abs=1e-12)
     assert polygon.gaps(ahead - 0.01 * outward) == pytest.approx(np.zeros(5), abs=1e-12)
-    assert polygon.min_gap(*seen(ahead + 0.7 * outward, (0.0, 0.0))) == pytest.approx(0.7, abs=1e-9)
+    nearest = polygon.nearest(*seen(ahead + 0.7 * outward, (0.0, 0.0)))
+    assert nearest is not None
+    assert nearest[0] == pytest.approx(0.7, abs=1e-9)
