@@ -18,7 +18,10 @@ cdef Py_ssize_t _nearest(double[::1] rising, Py_ssize_t n, double wanted)
 @cython.locals(i=cython.Py_ssize_t)
 cdef bint _has_near(const double[::1] ranges, double limit)
 
-@cython.locals(count=cython.Py_ssize_t, j=cython.Py_ssize_t, k=cython.Py_ssize_t)
+@cython.locals(
+    count=cython.Py_ssize_t, j=cython.Py_ssize_t, k=cython.Py_ssize_t, point_x=cython.p_double,
+    point_y=cython.p_double
+)
 cdef Py_ssize_t _find_match(
     double[::1] xs, double[::1] ys, Py_ssize_t point_count, double x, double y, double within,
     Py_ssize_t stride, Py_ssize_t begin
@@ -67,7 +70,11 @@ cdef class HiddenObstacles:
 
     @cython.locals(
         ranges=cython.const_double[::1], ray_count=cython.Py_ssize_t, range_min=cython.double,
-        sensor_x=cython.double, sensor_y=cython.double, i=cython.Py_ssize_t, ray=cython.Py_ssize_t
+        sensor_x=cython.double, sensor_y=cython.double, i=cython.Py_ssize_t, ray=cython.Py_ssize_t,
+        order=cython.p_longlong, sorted_range=cython.p_double, sorted_bearing=cython.p_double,
+        near_x=cython.p_double, near_y=cython.p_double, point_count=cython.Py_ssize_t,
+        distance=cython.double, near_range=cython.double, old_empty=cython.p_double,
+        empty_count=cython.Py_ssize_t
     )
     def update(self, scan, geometry, moved, driven, seconds)
 
@@ -88,7 +95,7 @@ cdef class HiddenObstacles:
 
     @cython.locals(
         ray_count=cython.Py_ssize_t, i=cython.Py_ssize_t, first=cython.Py_ssize_t,
-        end=cython.Py_ssize_t, last=cython.Py_ssize_t
+        end=cython.Py_ssize_t, last=cython.Py_ssize_t, ranges=cython.p_double
     )
     cdef int _find_sectors(self)
 
@@ -122,12 +129,15 @@ cdef class HiddenObstacles:
     @cython.locals(i=cython.Py_ssize_t, k=cython.Py_ssize_t, has_emerged=cython.bint)
     cdef int _drop_reappeared(self, double sideways_shift, double farthest_shift)
 
-    @cython.locals(i=cython.Py_ssize_t)
+    @cython.locals(
+        ray_count=cython.Py_ssize_t, i=cython.Py_ssize_t, bearing=cython.p_double,
+        exact_bearing=cython.p_double, age=cython.p_double, nearest=cython.p_double
+    )
     cdef int _clear_rays(self)
 
     @cython.locals(
         ray_count=cython.Py_ssize_t, old_empty_count=cython.Py_ssize_t, i=cython.Py_ssize_t,
-        k=cython.Py_ssize_t
+        k=cython.Py_ssize_t, ranges=cython.p_double
     )
     cdef int _find_reappeared(self, double turned, double obstacle_step)
 

@@ -34,7 +34,15 @@ import numpy as np
 
 from swarmd.core import cython_shadow as cython
 from swarmd.core.angles import PI, TURN, angle_between, mod_turn
-from swarmd.core.buffers import doubles, flags, indices, view, wrapped_index
+from swarmd.core.buffers import (
+    checked,
+    checked_indices,
+    doubles,
+    flags,
+    indices,
+    view,
+    wrapped_index,
+)
 from swarmd.core.cython_shadow import (
     INFINITY,
     Doubles,
@@ -127,12 +135,14 @@ def _find_match(
     on at 0.
     """
     count = (point_count + stride - 1) // stride
+    point_x = checked(xs, point_count)
+    point_y = checked(ys, point_count)
     for j in range(count):
         k = begin + j
         if k >= count:
             k -= count
-        difference_x = xs[k * stride] - x
-        difference_y = ys[k * stride] - y
+        difference_x = point_x[k * stride] - x
+        difference_y = point_y[k * stride] - y
         if (
             fabs(difference_x) <= within
             and fabs(difference_y) <= within
@@ -321,6 +331,12 @@ class HiddenObstacles:
         self._is_face_by_ray = self._is_empty
         self._is_hidden = self._is_empty
 
+    def check_indices(self) -> None:
+        """Nothing is refused: `checked` compares each length with the count of its loop.
+
+        An index that an array states (`_order`, `_angle_rays`) is that of a view with bounds.
+        """
+
     def update(
         self, scan: Scan, geometry: ScanGeometry, moved: Pose, driven: Pose, seconds: float
     ) -> None:
@@ -358,25 +374,37 @@ class HiddenObstacles:
         range_min = scan.range_min
         sensor_x = geometry.offset[0]
         sensor_y = geometry.offset[1]
+        if len(ranges) < ray_count:
+            raise IndexError(f"{len(ranges)} ranges, but {ray_count} bearings")
+        order = checked_indices(self._order, ray_count)
+        sorted_range = checked(self._range, ray_count)
+        sorted_bearing = checked(self._bearing, ray_count)
+        near_x = checked(self._x, ray_count)
+        near_y = checked(self._y, ray_count)
+        point_count = 0
         for i in range(ray_count):
-            ray = self._order[i]
-            distance = self._range[i] = ranges[ray]
+            ray = order[i]
+            distance = ranges[ray]
+            sorted_range[i] = distance
             if -INFINITY < distance <= near_range:
                 distance = max(distance, range_min)
-                self._x[self._point_count] = sensor_x + distance * cos(self._bearing[i])
-                self._y[self._point_count] = sensor_y + distance * sin(self._bearing[i])
-                self._point_count += 1
+                near_x[point_count] = sensor_x + distance * cos(sorted_bearing[i])
+                near_y[point_count] = sensor_y + distance * sin(sorted_bearing[i])
+                point_count += 1
+        self._point_count = point_count
         # 4. Updates the place that the robot leaves: by the driven part of the motion alone (rule
         # 4), and by the whole turn, since the base frame turns with the robot.
         self._leave(driven.x, driven.y, moved.yaw)
         # 5. Updates the hidden obstacles.
         self._update_hidden(moved.x, moved.y, moved.yaw, sensor_x, sensor_y, seconds, obstacle_step)
         # 6. Stores the empty rays for the next scan.
-        self._old_empty_count = 0
+        old_empty = checked(self._old_empty, ray_count)
+        empty_count = 0
         for i in range(ray_count):
-            if isinf(self._range[i]):
-                self._old_empty[self._old_empty_count] = self._bearing[i]
-                self._old_empty_count += 1
+            if isinf(sorted_range[i]):
+                old_empty[empty_count] = sorted_bearing[i]
+                empty_count += 1
+        self._old_empty_count = empty_count
 
     def _set_bearings(self, bearings: Array) -> None:
         """Take new bearings of the rays, and sort the rays by them."""
@@ -524,11 +552,12 @@ class HiddenObstacles:
         An empty ray has no return. Runs continue from the last ray to the first ray.
         """
         ray_count = self._ray_count
+        ranges = checked(self._range, ray_count)
         first = 0
         self._sector_count = 0
         for i in range(ray_count):
             self._is_empty[i] = False
-        while first < ray_count and isinf(self._range[first]):
+        while first < ray_count and isinf(ranges[first]):
             first += 1
         if first == ray_count:  # no ray has a return
             if ray_count >= _MIN_EMPTY_RUN:
@@ -539,7 +568,7 @@ class HiddenObstacles:
         i = first
         while i < last:
             end = i
-            while end < last and isinf(self._range[wrapped_index(end, ray_count)]):
+            while end < last and isinf(ranges[wrapped_index(end, ray_count)]):
                 end += 1
             if end - i >= _MIN_EMPTY_RUN:
                 self._add_sector(wrapped_index(i, ray_count), end - i)
@@ -727,11 +756,16 @@ class HiddenObstacles:
 
     def _clear_rays(self) -> None:
         """Set each ray to no obstacle, and `_angles` to the angles of the empty rays."""
+        ray_count = self._ray_count
+        bearing = checked(self._bearing, ray_count)
+        exact_bearing = checked(self._exact_bearing, ray_count)
+        age = checked(self._age_by_ray, ray_count)
+        nearest = checked(self._nearest_by_ray, ray_count)
         self._angle_total = 0
-        for i in range(self._ray_count):
-            self._exact_bearing[i] = self._bearing[i]
-            self._age_by_ray[i] = INFINITY
-            self._nearest_by_ray[i] = INFINITY
+        for i in range(ray_count):
+            exact_bearing[i] = bearing[i]
+            age[i] = INFINITY
+            nearest[i] = INFINITY
             self._is_face_by_ray[i] = True
             if self._is_empty[i]:
                 self._angles[self._angle_total] = self._rising[i]
@@ -749,8 +783,9 @@ class HiddenObstacles:
         self._angle_total = 0
         if not old_empty_count:
             return
+        ranges = checked(self._range, ray_count)
         for i in range(ray_count):
-            if -INFINITY < self._range[i] <= self._radius + obstacle_step:
+            if -INFINITY < ranges[i] <= self._radius + obstacle_step:
                 if not is_turned:
                     _turn_rays(self._old_empty, old_empty_count, turned, self._turned_angle)
                     is_turned = True
