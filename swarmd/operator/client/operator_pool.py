@@ -155,15 +155,16 @@ class OperatorPool:
         return self.life.is_over
 
     @contextmanager
-    def lend(self) -> Iterator[Operator]:
+    def lend(self, *, also_closed: bool = False) -> Iterator[Operator]:
         """Lend an operator for one verb; the operator is closed if the verb raises.
 
-        SwarmError after `close` of the pool.
+        SwarmError after `close` of the pool. `also_closed`: a new operator then, for the stop of a
+        robot that a call before `close` has let move.
         """
         if is_program_ended():  # a loop that is over ends its own leases, and not those of others
             self._end_leases()  # for a stop at exit: a new operator may get no thread then
         with self._lock:
-            if self._is_closed:
+            if self._is_closed and not also_closed:
                 raise SwarmError("the connection to the swarm is closed; connect again")
             operator = self._idle.pop() if self._idle else None
         operator = operator or self._make()

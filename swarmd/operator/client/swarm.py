@@ -662,12 +662,14 @@ class Swarm(Closing):
         """A session of a call that opens several, without lines for the user.
 
         See `Sessions` of `swarmd/operator/verbs/acceptance/tested_robot.py`. It is cancelled with
-        the call, unless it `is_stop`.
+        the call, unless it `is_stop`: a stop is sent also once the connection is closed, which a
+        cancelled task may close before the robot is told to stop.
         """
         one = Swarm(self._pool_of_parent, cancelled=cancelled)
         one._parents = () if is_stop else (self._cancelled, *self._parents)
         one._began = began
-        return one._session(None, is_stop=is_stop, life=self._life_of_connection())
+        life = self._life_of_connection()
+        return one._session(None, is_stop=is_stop, also_closed=is_stop, life=life)
 
     @contextmanager
     def _session(
@@ -676,12 +678,13 @@ class Swarm(Closing):
         *,
         is_request: bool = False,
         is_stop: bool = False,
+        also_closed: bool = False,
         life: LoopLife | None = None,
     ) -> Iterator[Session]:
         """A session for one call; it is cancelled once the call commands for nobody.
 
-        A session that `is_stop` is not. `life`: of the event loop to which a lease belongs; None:
-        to the main thread.
+        A session that `is_stop` is not. `also_closed`: a closed connection gives one, too. `life`:
+        of the event loop to which a lease belongs; None: to the main thread.
         """
         timeout = check_time("timeout", timeout)
         began = boottime() if self._began is None else self._began
@@ -700,8 +703,12 @@ class Swarm(Closing):
                 return True
             return pool.is_over_for(caller) and not is_stop
 
-        lend = self._pool.lend_for_request if is_request else self._pool.lend
-        with lend() as operator:
+        lent = (
+            self._pool.lend_for_request()
+            if is_request
+            else self._pool.lend(also_closed=also_closed)
+        )
+        with lent as operator:
             yield Session(
                 operator,
                 self._timeout if timeout is None else timeout,

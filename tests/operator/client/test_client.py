@@ -82,6 +82,20 @@ def test_an_operator_is_lent_again_and_none_is_left_open() -> None:
         pass
 
 
+def test_a_stop_of_an_acceptance_test_is_sent_after_its_connection_was_closed() -> None:
+    """A task that is cancelled at once leaves its block before the robot is told to stop."""
+    made = Counted()
+    swarm = Swarm(OperatorPool(made))
+    call = swarm._cancellable(threading.Event())
+    swarm.close()
+    with pytest.raises(SwarmError, match="closed"), call._sessions():
+        pass
+    with call._sessions(is_stop=True) as session:
+        assert not session.is_cancelled()
+        assert made.open == 1
+    assert made.open == 0
+
+
 def test_an_operator_that_failed_is_closed() -> None:
     made = Counted()
     pool = OperatorPool(made)
