@@ -138,6 +138,13 @@ class Tell(Struct, frozen=True):
     text: str
 
 
+class Await(Struct, frozen=True):
+    """Ask the person for a key, once all is as before this step."""
+
+    step: Step
+    text: str
+
+
 class Begin(Struct, frozen=True):
     """Begin the measurement of the step, and its run if it has a motion."""
 
@@ -174,7 +181,7 @@ class Finish(Struct, frozen=True):
     is_whole: bool
 
 
-Action = Ask | Tell | Begin | Bring | Stop | Judge | Keep | Finish
+Action = Ask | Tell | Await | Begin | Bring | Stop | Judge | Keep | Finish
 
 
 class Dialogue:
@@ -395,7 +402,7 @@ class Dialogue:
         if motion is None or motion.end is not End.PERSON:
             return []
         self._awaits_person = True
-        return [Tell("press Enter once all is as before")]
+        return [Await(self.step, "press Enter once all is as before")]
 
     def _break_off(self, verdict: Verdict, now: float) -> list[Action]:
         """Stop the robot; the step has this verdict."""

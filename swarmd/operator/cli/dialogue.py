@@ -59,6 +59,10 @@ class GivenYes:
         _show(question)
         self.discard()
 
+    def ask_for_key(self, question: Question) -> None:
+        """Show what is asked; the consent is none to it."""
+        _tell(question.asks)
+
     def tell(self, text: str, indent: str = "") -> None:
         """Show a text."""
         _tell(text, indent)
@@ -127,6 +131,10 @@ class Terminal:
         """Show a question; what was typed before now is discarded."""
         _show(question)
         self.discard()
+
+    def ask_for_key(self, question: Question) -> None:
+        """Show what is asked; the terminal gives keys meanwhile."""
+        _tell(question.asks)
 
     def tell(self, text: str, indent: str = "") -> None:
         """Show a text in place of the line of progress."""

@@ -30,6 +30,7 @@ from swarmd.core.verbs import EstopRequest, Request, ResetRequest, RunRequest, S
 from swarmd.operator.acceptance.dialogue import (
     Action,
     Ask,
+    Await,
     Begin,
     Bring,
     Dialogue,
@@ -273,7 +274,7 @@ class Bench:
                     self.request(EstopRequest, scope="robots")
                 case Stop() | Bring():
                     self.request(StopRequest)
-                case Tell():
+                case Tell() | Await():
                     self.has_told = True
                 case Judge(step=step):
                     self.hand = None

@@ -16,6 +16,7 @@ from swarmd.operator.acceptance.dialogue import (
     SOON,
     Action,
     Ask,
+    Await,
     Begin,
     Bring,
     Closed,
@@ -228,7 +229,7 @@ def test_silence_that_is_part_of_a_step_is_waited_for_until_the_person_is_back()
     step = make_step("B7", motion=MOTION._replace(end=End.PERSON, absence=60.0))
     talk = Talk(step).under_way()
     assert not talk.take(Tick(), 40.0)
-    assert [type(action) for action in talk.rest(3.0)] == [Tell]
+    assert [type(action) for action in talk.rest(3.0)] == [Await]
     assert talk.take(Key()) == (Judge(step),)
 
 

@@ -20,6 +20,7 @@ from swarmd.operator.acceptance.dialogue import (
     SOON,
     Closed,
     Dialogue,
+    Key,
     Line,
     Phase,
     Refused,
@@ -79,6 +80,9 @@ class Person(Protocol):
 
     def ask(self, question: Question) -> None:
         """Show a question; what was answered before does not count."""
+
+    def ask_for_key(self, question: Question) -> None:
+        """Show what is asked of the person while no line is asked for; any answer is a key."""
 
     def read(self, gives_lines: bool, seconds: float) -> Input | None:
         """What the person did, within `seconds`; None for nothing. `gives_lines`: is asked."""
@@ -158,6 +162,8 @@ class Talk:
                     self._ask(step)
                 case actions_of.Tell(text=text):
                     self._say(text)
+                case actions_of.Await(step=step, text=text):
+                    self._ask_for_key(step, text)
                 case actions_of.Begin(step=step):
                     if not step.is_asked:
                         self._say(f"\n{self._head(step)}")
@@ -195,6 +201,13 @@ class Talk:
             asks=words.question(step),
         )
         self._person.ask(question)
+
+    def _ask_for_key(self, step: Step, text: str) -> None:
+        self._told = ""
+        head = self._head(step)
+        self._person.ask_for_key(
+            Question(id=step.id, head=head, why="", prepare="", moves="", asks=text)
+        )
 
     def _tell_progress(self) -> None:
         """Show the line of progress when it changes, unless a question is open."""
@@ -239,10 +252,11 @@ class Answers:
         self._is_cancelled = is_cancelled
         self._is_left = False  # the caller does not answer any more
         self._questions: queue.SimpleQueue[Question | None] = queue.SimpleQueue()
-        self._answers: queue.SimpleQueue[tuple[float, str]] = queue.SimpleQueue()
+        self._answers: queue.SimpleQueue[tuple[Question, float, str]] = queue.SimpleQueue()
         self._told: list[str] = []
         self._question: Question | None = None
         self._is_answered = False  # the answer to the question was read
+        self._is_for_key = False  # any answer to the question is a key
         self._asked_at = boottime()
         self._watch = InputWatch(boottime())
         self._hasty = 0  # answers in a row that came within SOON of the question
@@ -265,7 +279,7 @@ class Answers:
                         f"answer gave {text!r} for {question.id}; expected a text: y, n, q, or the"
                         " number of a step"
                     )
-                self._answers.put((boottime(), text))
+                self._answers.put((question, boottime(), text))
         except BaseException:
             self._is_left = True
             raise
@@ -274,6 +288,15 @@ class Answers:
         """Hand a question to the function."""
         if self._question is None or question.id != self._question.id:
             self._hasty = 0
+        self._is_for_key = False
+        self._hand(question)
+
+    def ask_for_key(self, question: Question) -> None:
+        """Hand a question to the function, any answer to which is a key."""
+        self._is_for_key = True
+        self._hand(question)
+
+    def _hand(self, question: Question) -> None:
         self._question = Question(
             id=question.id,
             head=question.head,
@@ -301,12 +324,16 @@ class Answers:
         if gives_lines and self._is_answered and self._question is not None:
             self.ask(self._question)  # the dialogue did not take the answer, and has said why
         try:
-            said_at, text = self._answers.get(timeout=seconds)
+            answered, said_at, text = self._answers.get(timeout=seconds)
         except queue.Empty:
             self._watch.look(boottime())
             return None
         question = self._question
-        if not gives_lines or question is None:
+        if question is None or answered is not question:  # one that is over, such as for a key
+            return None
+        if self._is_for_key:
+            return None if gives_lines else Key()
+        if not gives_lines:
             return None
         if not self._watch.is_unbroken(self._asked_at, boottime()):
             self.tell(f"No answer was taken: {TOO_LATE}")

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from swarmd.core.errors import ConfigError
-from swarmd.operator.acceptance.dialogue import SOON, Closed, Line
+from swarmd.operator.acceptance.dialogue import SOON, Closed, Key, Line
 from swarmd.operator.verbs.acceptance import talk
 from swarmd.operator.verbs.acceptance.talk import MAX_HASTY, Answers, Question
 
@@ -132,6 +132,34 @@ def test_an_answer_to_a_question_that_was_withdrawn_is_dropped(clock: Clock) -> 
     answered(person, "y", clock, 3.0)
     assert person.read(False, 0.0) is None
     assert person.read(True, 0.0) is None
+
+
+def test_an_answer_to_a_question_for_a_key_is_a_key(clock: Clock) -> None:
+    """Steps B6 to B9 wait for it; without a key they fail."""
+    person = Answers()
+    person.ask_for_key(QUESTION)
+    person.close()
+    person.answer_all(lambda question: "")
+    assert person.read(False, 0.0) == Key()
+
+
+def test_a_late_answer_to_a_question_for_a_key_is_no_yes_to_the_next_one(clock: Clock) -> None:
+    person = Answers()
+    person.ask_for_key(QUESTION)
+
+    asked: list[Question] = []
+
+    def answer(question: Question) -> str:
+        asked.append(question)
+        if len(asked) > 1:
+            return "n"
+        person.ask(QUESTION)  # the dialogue waited no longer
+        person.close()
+        return "y"
+
+    person.answer_all(answer)
+    assert person.read(True, 0.0) is None
+    assert person.read(True, 0.0) == Line("n")
 
 
 def test_a_question_has_what_was_said_since_the_one_before(clock: Clock) -> None:
