@@ -74,6 +74,7 @@ FORMER: Mapping[str, str] = {
     "swarmd.network.operator.operator_text": "swarmd.operator.session.targets",
     "swarmd.network.operator.repeat_timer": "swarmd.operator.session.clocks",
     "swarmd.network.operator.request_sender": "swarmd.operator.session.senders",
+    "swarmd.network.operator.robot_clocks": "swarmd.operator.session.clocks",
     "swarmd.network.operator.roster_follower": "swarmd.operator.session.roster",
     "swarmd.network.operator.round_trips": "swarmd.operator.session.clocks",
     "swarmd.network.operator.seen_member": "swarmd.operator.session.member_reports",
