@@ -146,6 +146,13 @@ def test_five_seconds_of_silence_and_ten_messages_name_and_one_message_clears() 
     assert swarm.run(2).told("a") == set()
 
 
+def test_one_lost_burst_of_messages_names_nobody() -> None:
+    swarm = Swarm("abcd", lambda sender, receiver: True).run(20)
+    swarm.arrives = mute("a")
+    swarm.run(1).rates["a"] = 0.0  # its run ends as its last second of messages is lost
+    assert {one for _ in range(20) for name in "abcd" for one in swarm.run(1).told(name)} == set()
+
+
 def test_a_slow_sender_needs_ten_messages() -> None:
     swarm = Swarm("abcd", mute("b"), rate=0.5).run(18)
     assert swarm.told("a") == set()

@@ -25,8 +25,9 @@ from msgspec import Struct
 from swarmd.core.messages import DEAF, MUTE, UNHEARD, PeerFault
 from swarmd.link.datagram import MAX_UNHEARD
 
-# A robot's messages are missed after so many messages, beacons and s without any of them. A bad
-# link loses beacons and messages alike: docs/evidence/faults.md has the count of false alarms.
+# A robot's messages are missed after so many messages, beacons and s without any of them. Beacons
+# that tell of further messages count alone, so one lost burst is no evidence. A bad link loses
+# beacons and messages alike: docs/evidence/faults.md has the count of false alarms.
 MISSED_MESSAGES = 10
 MISSED_BEACONS = 5
 MISSED_TIME = 5.0
@@ -74,7 +75,7 @@ class _Peer(Struct):
     sent_at: float = -math.inf  # s, when `sent` rose last
     counted: int = 0  # messages that it had sent at `counted_at`
     counted_at: float = 0.0  # s, from which missed messages count
-    beacons: int = 0  # since `counted_at`
+    beacons: int = 0  # since `counted_at`, those that tell of further messages
     has_message: bool = False  # since the last beacon
     heard_at: float = -math.inf  # s, of its last message
     report: Report = NO_REPORT
@@ -140,7 +141,8 @@ class Hearing:
         if number <= peer.number:
             return
         is_new_count = peer.has_message or not peer.is_present(now)
-        if sent > peer.sent:
+        has_sent = sent > peer.sent
+        if has_sent:
             peer.sent_at = now
         peer.number = number
         peer.at = now
@@ -150,7 +152,7 @@ class Hearing:
         if is_new_count:
             peer.begin_count(now)
         else:
-            peer.beacons += 1
+            peer.beacons += has_sent
 
     def advance(self, now: float) -> bool:
         """Judge anew if it is time; True if `faults` differ in more than their times."""
