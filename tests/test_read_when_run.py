@@ -17,6 +17,7 @@ from tests.support.read_when_run import (
     PROCESS_FIXTURES,
     Progress,
     ReadWhenRun,
+    UnnamedMark,
     is_wanted,
     may_be_selected,
 )
@@ -146,8 +147,20 @@ def test_a_mark_that_its_file_does_not_name_is_an_error(
     config: Any = SimpleNamespace(option=SimpleNamespace(markexpr=""))
     read = ReadWhenRun(lambda config: None).pytest_collection_modifyitems(config, [test])
     next(read)
-    with pytest.raises(RuntimeError if is_error else StopIteration):
+    with pytest.raises(UnnamedMark if is_error else StopIteration):
         next(read)
+
+
+@pytest.mark.integration
+def test_such_an_error_is_one_of_its_file_alone(tmp_path: Path) -> None:
+    place = tmp_path / "when_run"
+    place.mkdir()
+    marked = "import pytest\n@getattr(pytest.mark, 'long')\ndef test_long(): ...\n"
+    (place / "test_marked.py").write_text(marked)
+    code, _, lines = run(tmp_path, "when_run", "--ignore", "test_broken.py", "-m", "not long")
+    assert code == 1
+    assert "ERROR test_marked.py::tests" in lines
+    assert "PASSED inner/test_b.py::TestB::test_one" in lines
 
 
 @pytest.mark.integration
@@ -174,6 +187,7 @@ def test_the_test_that_ends_its_worker_is_named(tmp_path: Path) -> None:
         ({"dist": "load"}, ["tests"], False),
         ({"dist": "no"}, ["tests"], False),
         ({"dist": "loadfile", "lf": True}, ["tests"], False),
+        ({"dist": "loadfile", "collectonly": True}, ["tests"], False),
     ],
 )
 def test_who_names_tests_or_asks_for_those_of_an_earlier_run_collects_all(

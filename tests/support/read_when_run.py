@@ -22,8 +22,8 @@ from _pytest.runner import runtestprotocol
 
 from tests.support.scheduling import order
 
-_NEED_ALL = ("lf", "failedfirst", "newfirst", "stepwise", "xmlpath")
-"""Options of pytest that choose among all tests, or write down each report."""
+_NEED_ALL = ("lf", "failedfirst", "newfirst", "stepwise", "xmlpath", "collectonly")
+"""Options of pytest that choose among all tests, write down each report, or run none."""
 _TOLD = 0.1
 """The seconds from which on a setup or the end of a test is told, for `--durations`."""
 
@@ -63,6 +63,10 @@ def is_wanted(config: pytest.Config) -> bool:
 def is_told(report: pytest.TestReport) -> bool:
     """Whether a report of a worker goes to the process that deals out."""
     return report.when == "call" or not report.passed or report.duration >= _TOLD
+
+
+class UnnamedMark(Exception):
+    """A test has a mark that its file does not name."""
 
 
 class UnreadFile(pytest.File):
@@ -120,7 +124,7 @@ class ReadWhenRun:
         for test in tests:
             marked = any(test.get_closest_marker(name) for name in _LANES)
             if marked and not MARKING.search(test.path.read_text()):
-                raise RuntimeError(f"{test.nodeid} is of make test-long, which reads files that"
+                raise UnnamedMark(f"{test.nodeid} is of make test-long, which reads files that"
                                    " tests.support.read_when_run.MARKING finds")  # fmt: skip
         if steps:
             paths = {step.path for step in steps}
@@ -163,6 +167,10 @@ class ReadWhenRun:
             item.config.hook.pytest_collection_modifyitems(
                 session=session, config=item.config, items=tests
             )
+        except UnnamedMark as error:  # the other files go on
+            report = pytest.CollectReport(item.nodeid, "failed", str(error), None)
+            item.ihook.pytest_collectreport(report=report)
+            tests = []
         finally:
             gc.enable()
         self._on_read(item.config)
