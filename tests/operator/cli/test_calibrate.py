@@ -20,10 +20,10 @@ from swarmd.operator.acceptance.dialogue import Dialogue
 from swarmd.operator.acceptance.step import Step
 from swarmd.operator.acceptance.verdict import passed
 from swarmd.operator.calibration.figures import Figure
-from swarmd.operator.cli import calibrate as verb
 from swarmd.operator.cli.calibrate import _ask_and_drive, _end_findings
 from swarmd.operator.session.operator import Operator
 from swarmd.operator.session.outcome import Outcome
+from swarmd.operator.verbs.acceptance import talk
 from swarmd.settings.settings import load_platform
 from swarmd.sim.live.fleet import Fleet, FleetSpec
 from swarmd.sim.live.starting import statuses_of
@@ -265,7 +265,7 @@ def test_late_scans_need_a_larger_floor(monkeypatch: pytest.MonkeyPatch) -> None
 
         def run(self) -> None: ...
 
-    monkeypatch.setattr(verb, "Talk", Silent)
+    monkeypatch.setattr(talk, "Talk", Silent)
     delays = [
         None,
         *(ScanDelaySummary(declared=0.05, added=added, bound=0.1) for added in (0.0, 0.23)),
