@@ -83,7 +83,6 @@ def test_a_stop_is_measured_from_python_although_the_first_answers_are_none(
     assert (shown.code, "B1 stop: PASS" in shown.out) == (0, True)
 
 
-@pytest.mark.evidence
 def test_a_stop_is_measured_although_the_first_answers_are_none(swarm: str, tmp_path: Path) -> None:
     """The command at a terminal; its shell alone is in test_terminal.py."""
     folder = tmp_path / "results"
