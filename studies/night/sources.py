@@ -13,6 +13,7 @@ import subprocess
 from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 from swarmd import _PUBLIC
 from swarmd.core.errors import SwarmError
@@ -32,7 +33,7 @@ _SHORT = 10
 
 def forget() -> None:
     """Read the files again, which may have changed since."""
-    for known in (_meaning, _meaning_of, _next, _named, _modules_before):
+    for known in (_content, _next, _files_of, _named, _modules_before):
         known.cache_clear()
 
 
@@ -56,7 +57,7 @@ def digest_of(modules: Iterable[str]) -> str:
     digest = hashlib.sha256()
     for path in sources_of(modules):
         digest.update(f"{path.relative_to(ROOT).as_posix()}\0".encode())
-        digest.update(hashlib.sha256(_meaning(path)).digest())
+        digest.update(_content(path).digest)
     return digest.hexdigest()[:16]
 
 
@@ -89,7 +90,7 @@ def _means_other(name: str, before: bytes) -> bool:
     """Whether a module counts otherwise than it did."""
     path = ROOT / name
     try:
-        return not path.is_file() or _meaning_of(path.suffix, before) != _meaning(path)
+        return not path.is_file() or _read(path.suffix, before).digest != _content(path).digest
     except SyntaxError:
         return True
 
@@ -125,22 +126,29 @@ def _git(*words: str) -> str:
         ) from error
 
 
-@cache
-def _meaning(path: Path) -> bytes:
-    """The bytes by which a file counts."""
-    return _meaning_of(path.suffix, path.read_bytes())
+class _Content(NamedTuple):
+    """Of a file: the digest of what counts, and the modules that it may import."""
+
+    digest: bytes
+    modules: tuple[str, ...] = ()
 
 
 @cache
-def _meaning_of(suffix: str, content: bytes) -> bytes:
+def _content(path: Path) -> _Content:
+    return _read(path.suffix, path.read_bytes())
+
+
+def _read(suffix: str, content: bytes) -> _Content:
+    """Of a module its code counts, without docstrings and other texts that stand alone."""
     if suffix != ".py":
-        return content
+        return _Content(hashlib.sha256(content).digest())
     tree = ast.parse(content)
     for node in ast.walk(tree):
         body = getattr(node, "body", None)
         if isinstance(body, list):
             node.body = [one for one in body if not _is_text(one)]  # type: ignore[attr-defined]
-    return ast.dump(tree).encode()
+    digest = hashlib.sha256(ast.dump(tree).encode()).digest()
+    return _Content(digest, tuple(dict.fromkeys(_modules(tree))))
 
 
 def _is_text(node: ast.AST) -> bool:
@@ -156,11 +164,7 @@ def _next(path: Path) -> tuple[Path, ...]:
         header = path.with_suffix(".pxd")
         found += [header] * header.is_file()
         if name not in _LAZY:
-            found += [
-                one
-                for module in _modules(ast.parse(path.read_bytes()))
-                for one in _files_of(module)
-            ]
+            found += [one for module in _content(path).modules for one in _files_of(module)]
     if name.startswith(_NAMING):
         words = set(_WORD.findall(path.read_text())) - {path.stem}
         found += [one for word in words & _named().keys() for one in _named()[word]]
@@ -169,7 +173,7 @@ def _next(path: Path) -> tuple[Path, ...]:
 
 def _modules(tree: ast.AST) -> Iterator[str]:
     """The modules that a module may import: by a statement, or by a text that is such a name."""
-    if isinstance(tree, ast.If) and ast.unparse(tree.test) == "TYPE_CHECKING":
+    if isinstance(tree, ast.If) and _is_name(tree.test, "TYPE_CHECKING"):
         for other in tree.orelse:
             yield from _modules(other)
         return
@@ -180,21 +184,27 @@ def _modules(tree: ast.AST) -> Iterator[str]:
         yield from (f"{tree.module}.{one.name}" for one in tree.names)
     elif isinstance(tree, ast.Constant) and isinstance(tree.value, str) and "." in tree.value:
         yield tree.value
-    elif isinstance(tree, ast.Attribute) and ast.unparse(tree.value) == "swarmd":
+    elif isinstance(tree, ast.Attribute) and _is_name(tree.value, "swarmd"):
         yield f"swarmd.{tree.attr}"
     for node in ast.iter_child_nodes(tree):
         yield from _modules(node)
 
 
-def _files_of(module: str) -> Iterator[Path]:
+def _is_name(node: ast.AST, name: str) -> bool:
+    return isinstance(node, ast.Name) and node.id == name
+
+
+@cache
+def _files_of(module: str) -> tuple[Path, ...]:
     """The file of a module of this project, and those of the packages around it."""
     # A public name, such as `swarmd.env`, is imported when it is used.
     module = _PUBLIC.get(module.removeprefix("swarmd."), module)
     names = module.split(".")
     if names[0] not in _OURS or module.startswith(__package__):
-        return
+        return ()
+    found: list[Path] = []
     if module in _LISTING:
-        yield from ROOT.glob(_LISTING[module])
+        found += ROOT.glob(_LISTING[module])
     for count in range(1, len(names) + 1):
         some = names[:count]
         folder = ROOT.joinpath(
@@ -204,7 +214,8 @@ def _files_of(module: str) -> Iterator[Path]:
             folder / "__init__.py",
             *(folder.with_suffix(suffix) for suffix in (".py", ".cpp", ".yaml")),
         )
-        yield from (path for path in files if path.is_file())
+        found += [path for path in files if path.is_file()]
+    return tuple(found)
 
 
 @cache

@@ -318,13 +318,11 @@ def test_a_digest_follows_code_and_not_its_comments(
     digests = []
     for text in ("A = 1\n", "# Why.\nA = 1\n", '"""Text."""\nA = 1\n', "A = 2\n", "B = 1\n"):
         (tmp_path / "studies/two.py").write_text(text)
-        for known in (sources._meaning, sources._next, sources._named):
-            known.cache_clear()
+        sources.forget()
         digests.append(digest_of(["studies.one"]))
     assert digests[0] == digests[1] == digests[2]
     assert len(set(digests)) == 3
-    for known in (sources._meaning, sources._next, sources._named):
-        known.cache_clear()
+    sources.forget()
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 7])
