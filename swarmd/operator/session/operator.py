@@ -610,8 +610,8 @@ class Operator(Closing):
         if self._discovery is None:
             return False
         if isinstance(body, Beacon):
-            self._discovery.on_beacon(body, source, now)
-        elif isinstance(body, MemberList):
+            return self._discovery.on_beacon(body, source, now)
+        if isinstance(body, MemberList):
             self._discovery.on_member_list(body, now)
         elif isinstance(body, StatusPart):
             with contextlib.suppress(CodecError):
