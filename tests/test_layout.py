@@ -459,6 +459,7 @@ def test_the_core_names_no_concrete_plugin() -> None:
     ("module", "unwanted"),
     [
         ("swarmd.daemon.daemon", {"swarmd.kit.behavior", "swarmd.api", "numpy.random"}),
+        ("swarmd.pattern_host.worker", {"importlib.abc", "tempfile", "lzma", "swarmd.link"}),
         ("swarmd.api", {"zenoh", "asyncio", "mujoco", "click", "rich", "swarmd.link"}),
     ],
 )

@@ -9,6 +9,7 @@ received.
 from __future__ import annotations
 
 from enum import StrEnum
+from functools import cache
 from typing import Annotated, Literal, NamedTuple
 
 import msgspec
@@ -126,8 +127,12 @@ class GoalStatus(Struct, frozen=True, kw_only=True):
     lease_left: Seconds | None = None
 
 
-_decoder = msgspec.msgpack.Decoder(Goal)
 _encoder = msgspec.msgpack.Encoder(order="deterministic")  # equal goals have equal bytes
+
+
+@cache  # made at the first goal: most commands read none
+def _decoder() -> msgspec.msgpack.Decoder[Goal]:
+    return msgspec.msgpack.Decoder(Goal)
 
 
 def encode_goal(goal: Goal) -> bytes:
@@ -149,7 +154,7 @@ def decode_goal(content: bytes) -> Goal:
     """The goal in these bytes. CodecError if they are malformed, or too long once encoded again."""
     if len(content) > MAX_GOAL:
         raise CodecError(f"a goal of {len(content)} bytes; at most {MAX_GOAL}")
-    goal = decode(_decoder, content, "a goal")
+    goal = decode(_decoder(), content, "a goal")
     encode_goal(goal)
     return goal
 

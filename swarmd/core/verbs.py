@@ -16,7 +16,6 @@ Unknown fields of the structs are ignored, so that a newer peer can add fields. 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from enum import Enum
 from typing import Annotated, Any, Generic, Literal, TypeVar
 
@@ -737,8 +736,7 @@ Asked = TypeVar("Asked", bound=Struct)
 Answer = TypeVar("Answer")
 
 
-@dataclass(frozen=True, slots=True)
-class Verb(Generic[Asked, Answer]):
+class Verb(Struct, Generic[Asked, Answer], frozen=True):
     """A row of the table. `name`: the chunk of the key after `control/`.
 
     - `asked`: the type of the payload; `Nothing` if the payload is empty.

@@ -189,6 +189,8 @@ def describe_request(request: AnyRequest) -> str:
 
 def printable(text: str) -> str:
     """The text in one line: an operator's name must not start a new line of a log."""
+    if text.isprintable():
+        return text
     return "".join(char if char.isprintable() else "?" for char in text)
 
 

@@ -29,7 +29,7 @@ ONLY_HERE = (
 # The path of a setting, such as ("seeds", 0), and the text of its fault.
 Fault = tuple[tuple[str | int, ...], str]
 
-_ENDPOINT = re.compile(
+_ENDPOINT = (  # compiled by `re` at the first endpoint
     r"(tcp|tls|quic|udp)/(\[[0-9a-fA-F:.]+(?:%[\w.-]+)?\]|[^/:#?\s]+):(\d{1,5})([?#]\S*)?"
 )
 
@@ -63,7 +63,7 @@ def parse_endpoint(
 
     Raises ConfigError for any other text; the message is `prefix`, the text, and `example`.
     """
-    match = _ENDPOINT.fullmatch(text)
+    match = re.fullmatch(_ENDPOINT, text)
     if match is None or int(match[3]) > 65535:
         raise ConfigError(f"{prefix}{text!r}; expected an endpoint such as {example}")
     return Endpoint(match[1], match[2].strip("[]"), int(match[3]), match[4] or "")

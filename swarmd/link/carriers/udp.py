@@ -35,6 +35,7 @@ import threading
 from collections import Counter
 from collections.abc import Callable, Iterable
 from enum import Enum
+from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
 from swarmd.core.bounds import keep_newest
@@ -713,7 +714,7 @@ def _sockaddr(address: Address, index: int) -> tuple[str, int] | tuple[str, int,
     """
     host, _, scope = address[0].partition("%")
     try:
-        ip = ipaddress.ip_address(host)
+        ip = _ip(host)
         if scope:
             index = int(scope) if scope.isdecimal() else socket.if_nametoindex(scope)
     except (ValueError, OSError):
@@ -721,3 +722,8 @@ def _sockaddr(address: Address, index: int) -> tuple[str, int] | tuple[str, int,
     if ip.version == 4:
         return None if scope else (host, address[1])
     return (host, address[1], 0, index if ip.is_link_local else 0)
+
+
+@lru_cache(maxsize=2 * MAX_ADDRESSES)  # repeats go to the same hosts
+def _ip(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address:
+    return ipaddress.ip_address(host)

@@ -9,12 +9,12 @@ from __future__ import annotations
 import os
 import stat
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
 import msgspec
 from msgspec import Meta, Struct
+from msgspec.structs import replace
 
 from swarmd.core.bounds import Id
 from swarmd.core.errors import CodecError, ConfigError
@@ -68,8 +68,7 @@ class Issued(Struct, frozen=True, kw_only=True):
         write_private(folder / INFO, msgspec.json.encode(self.info))
 
 
-@dataclass(frozen=True, slots=True)
-class Identity:
+class Identity(Struct, frozen=True):
     """A name of a swarm with the keys and certificates that prove the name."""
 
     folder: Path
@@ -125,8 +124,7 @@ def identity_folders(swarm: str, environ: Mapping[str, str] = os.environ) -> tup
     return (system,) if user is None else (user / "identities" / swarm, system)
 
 
-@dataclass(frozen=True, slots=True)
-class Installed:
+class Installed(Struct, frozen=True):
     """What is known of the installed identity for a swarm; all None: there is none.
 
     `folder`: the folder of the identity, which may be damaged. `hidden`: why a folder that may

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable
 from enum import StrEnum
+from functools import cache
 from typing import Annotated
 
 import msgspec
@@ -113,8 +114,17 @@ class SignedRoster(Struct, frozen=True, array_like=True):
     signature: Signature
 
 
-_roster = msgspec.msgpack.Decoder(Roster)
-_signed = msgspec.msgpack.Decoder(SignedRoster)
+# Made at the first roster: a swarm without keys has none.
+@cache
+def _roster_decoder() -> msgspec.msgpack.Decoder[Roster]:
+    return msgspec.msgpack.Decoder(Roster)
+
+
+@cache
+def _signed_decoder() -> msgspec.msgpack.Decoder[SignedRoster]:
+    return msgspec.msgpack.Decoder(SignedRoster)
+
+
 encode_roster: Callable[[Roster], bytes] = msgspec.msgpack.encode
 """The bytes that the authority signs."""
 
@@ -149,8 +159,8 @@ def read_roster(data: bytes, authority: bytes) -> Roster:
 
 
 def _decoded(data: bytes) -> tuple[SignedRoster, Roster]:
-    signed = decode(_signed, data, "a roster")
-    roster = decode(_roster, signed.content, "a roster")
+    signed = decode(_signed_decoder(), data, "a roster")
+    roster = decode(_roster_decoder(), signed.content, "a roster")
     others = {*roster.robots, *roster.operators, *roster.viewers}
     if twice := sorted(roster.permits.keys() & others):
         raise CodecError(f"a roster with a permit for {twice[0]}, which has another role, too")

@@ -10,10 +10,11 @@ bundle, which the authority made, or from the robot that shares the key.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import msgspec
 from msgspec import Struct
+from msgspec.structs import replace
 
 from swarmd.core.codec import decode
 from swarmd.core.errors import CodecError, ConfigError
@@ -175,7 +176,7 @@ def _with_answers(keys: DatagramKeys, roster: Roster, answers: Mapping[str, byte
     """`keys` with the pair keys `answers` of the robots that are on the roster."""
     known = {**keys.answers, **answers}
     kept = {n: key for n, key in known.items() if n in roster.robots and len(key) == KEY_BYTES}
-    return msgspec.structs.replace(keys, answers=kept)
+    return replace(keys, answers=kept)
 
 
 def _checked_roster(identity: Identity, shared: SharedRoster) -> tuple[Roster, bytes]:
@@ -246,6 +247,6 @@ def take_certificate(identity: Identity, certificate: bytes) -> Identity | None:
     if facts.expires < identity.info.expires:
         return None
     write_private(identity.certificate, certificate)
-    info = msgspec.structs.replace(identity.info, expires=facts.expires)
+    info = replace(identity.info, expires=facts.expires)
     write_private(identity.folder / INFO, msgspec.json.encode(info))
     return load_identity(identity.folder)

@@ -46,7 +46,9 @@ def swarmctl() -> None:
         # Python's end searches all objects for cycles, some 15 ms; what is frozen is left out.
         atexit.register(gc.freeze)
         with without_openssl():
-            import hashlib  # noqa: F401  # verbs import it after this block
+            # Verbs import these after this block.
+            import hashlib  # noqa: F401
+            import hmac  # noqa: F401
         from swarmd.operator.cli.swarmctl import main
 
         main()

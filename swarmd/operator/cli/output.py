@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import signal
 import sys
@@ -128,6 +127,8 @@ def has_colour(is_terminal: bool) -> bool:
 
 def _json_text(document: Mapping[str, Any], indent: int | None) -> str:
     """JSON in which characters that could control the terminal are escaped."""
+    import json  # 1 ms of the start, and most answers are for people
+
     text = json.dumps(document, indent=indent, ensure_ascii=False, allow_nan=False)
     if text.isascii() and "\x7f" not in text:
         return text

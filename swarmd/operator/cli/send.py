@@ -5,10 +5,10 @@ from __future__ import annotations
 import sys
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
+from msgspec import Struct
 
 from swarmd.core.messages import Code
 from swarmd.core.refusal import Refusal
@@ -56,8 +56,7 @@ def known_members(
     return session.look(is_request_next=is_request_next, needs_status=needs_status, dials=dials)
 
 
-@dataclass(frozen=True, slots=True)
-class Asked:
+class Asked(Struct, frozen=True):
     """The targets of a verb, with the session, for requests whose outcomes are printed."""
 
     options: CommonOptions

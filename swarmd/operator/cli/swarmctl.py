@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import re
 import signal
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -339,7 +338,7 @@ def _not_text(words: Sequence[str]) -> str:
     characters in the reason.
     """
     # Python decodes a byte that is not UTF-8 to a lone surrogate, in this range.
-    bad = next((word for word in words if re.search("[\ud800-\udfff]", word)), None)
+    bad = next((word for word in words if any("\ud800" <= char <= "\udfff" for char in word)), None)
     if bad is None or any(map(_is_stop, words)):
         return ""
     return f"{bad!r} is not UTF-8; rename the file, or type the word again"

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 
 import click
+from msgspec.structs import replace
 
 from swarmd.core.errors import ConfigError, NetworkError
 from swarmd.operator.cli.options import FILE, CommonOptions, common_options

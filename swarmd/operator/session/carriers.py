@@ -31,7 +31,7 @@ from swarmd.operator.session.roster import CLOSING
 if TYPE_CHECKING:
     import zenoh
 
-    from swarmd.operator.session.roster import OperatorAdmission
+    from swarmd.operator.session.admission import OperatorAdmission
 
 
 OnBody = Callable[[Datagram, Address, float], bool]
@@ -231,6 +231,11 @@ class OperatorSessions:
     def is_open(self) -> bool:
         """True if there is a session."""
         return bool(self._opened)
+
+    def prepare(self) -> None:
+        """Load Zenoh, which takes 8 ms, before robots are dialled."""
+        if self.needs_links:
+            import swarmd.link.carriers.session  # noqa: F401  # a look without links does without
 
     def open(self) -> zenoh.Session:
         """Open a session that dials no robot."""

@@ -11,7 +11,8 @@ and loss of datagrams (`ends_at`).
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from typing import Generic, TypeVar
 
 from swarmd.core import codec
 from swarmd.core.errors import CodecError
@@ -68,6 +69,26 @@ LOOK_CAP = 45.0  # s: the bound of a look, which no datagram can raise
 # only if another robot reports that robot, or if that robot has answered.
 PROLONGING_TIME = 3.0
 
+T = TypeVar("T")
+
+
+class _Memo(Generic[T]):
+    """A value that is found once for each key; each turn of a look asks for it several times.
+
+    The key is the count of events, with what else the value depends on.
+    """
+
+    def __init__(self) -> None:
+        self._found: tuple[object, T] | None = None  # the last key, and the value
+
+    def at(self, key: object, find: Callable[[], T]) -> T:
+        """The value of this key, which `find` finds."""
+        found = self._found
+        if found is None or found[0] != key:
+            found = key, find()
+            self._found = found
+        return found[1]
+
 
 class Discovery:
     """The robots that one look of an operator has found.
@@ -120,8 +141,16 @@ class Discovery:
         # When a robot last sent a member list, or was last named in a list or view. `_forget` drops
         # a robot that no list has named for long. A robot with the time inf is never forgotten.
         self._last_named_at: dict[str, float] = {}
+        # The robots that have said, or of which others have said, that they leave. A dict, for its
+        # order. What came later may deny it.
+        self._may_have_left: dict[str, None] = {}
         self._forgot_at = now
         self._lists_at = -float("inf")  # when the last request for member lists began
+        self._events = 0  # the count of events that changed what is known
+        self._heard = _Memo[frozenset[str]]()
+        self._answered = _Memo[frozenset[str]]()
+        self._unlisted = _Memo[tuple[str, ...]]()
+        self._left = _Memo[frozenset[str]]()
         if earlier is not None:
             self._expect_earlier(earlier, now)
 
@@ -179,16 +208,22 @@ class Discovery:
         lives = [self._members.lives(robot)[instance] for robot, instance in asked]
         return tuple(life.address for life in lives)
 
-    def on_beacon(self, beacon: Beacon, address: Address, now: float) -> None:
-        """Take a robot's beacon; a beacon of a robot that does not own its id is ignored."""
+    def on_beacon(self, beacon: Beacon, address: Address, now: float) -> bool:
+        """Take a robot's beacon; a beacon of a robot that does not own its id is ignored.
+
+        False if the beacon shows only what was known of its robot, and need wake nobody: most
+        beacons are the answers to repeated solicits.
+        """
         robot = beacon.robot
         instance = beacon.instance.hex()
         if not self._has_room(robot):
-            return
+            return False
+        is_same = self._is_known_by(beacon, address)
         left_at = self._members.left_at(robot, beacon.instance)
         is_answer = left_at is not None and self._trips.is_after(beacon.echo, left_at)
         change = self._members.take(beacon, address, now, is_answer=is_answer)
         if change is Change.LEFT:
+            self._may_have_left[robot] = None
             self._lists_at = -float("inf")  # ask at once whether the other robots confirm it
             self._statuses.drop(robot, instance)
             self._on_news(robot, now)
@@ -199,6 +234,20 @@ class Discovery:
         if instance in self._members.lives(robot):
             self._trips.on_echo(robot, instance, beacon.echo, now, beacon.clock)
             self._status_parts.on_beacon(beacon, now)
+        self._events += 1
+        return change in (Change.FOUND, Change.LEFT) or not is_same
+
+    def _is_known_by(self, beacon: Beacon, address: Address) -> bool:
+        """True if the only life of a robot has this address, and has answered as this beacon does.
+
+        A beacon of one of several lives may show which of them lives.
+        """
+        lives = self._members.lives(beacon.robot)
+        instance = beacon.instance.hex()
+        if self.asks_by_datagram or lives.keys() != {instance}:
+            return False
+        has_answered = not beacon.echo or self._trips.has_answered(beacon.robot, instance)
+        return has_answered and lives[instance].address == address
 
     def on_member_list(self, word: MemberList, now: float) -> None:
         """Take a part of a robot's member list."""
@@ -214,6 +263,7 @@ class Discovery:
         if self._is_fresh(word.robot, now) and now - self._forgot_at >= FORGET_PERIOD:
             self._forgot_at = now
             self._forget(now)
+        self._events += 1
 
     def on_view(self, view: PeerView, now: float) -> None:
         """Take the answer of a robot: its status and its members."""
@@ -223,11 +273,13 @@ class Discovery:
             self._roster.update(name for name in view.roster if is_id(name))
         self._take_programs(view.status)
         self._store_reports(view.robot, VIEW, reports_of_view(view, now), now)
+        self._events += 1
 
     def on_header(self, header: StatusHeader, now: float) -> None:
         """Take the status of a robot of another version, as far as it can be read."""
         self._take_answer(header.robot, StatusAnswer(header, (), now), now)
         self._note_linked(header.robot)
+        self._events += 1
 
     def on_status_part(self, part: StatusPart, now: float) -> None:
         """Take a part of a robot's status; a part of an instance that has left is ignored.
@@ -245,6 +297,7 @@ class Discovery:
         self._take_answer(part.robot, StatusAnswer(status, (), now), now)
         if isinstance(status, Status):
             self._take_programs(status)
+        self._events += 1
 
     def _note_linked(self, robot: str) -> None:
         if robot in self._statuses.robots:
@@ -264,7 +317,7 @@ class Discovery:
     @property
     def heard(self) -> frozenset[str]:
         """The robots that the operator has heard itself."""
-        return self._members.heard
+        return self._heard.at(self._events, lambda: self._members.heard)
 
     @property
     def known(self) -> frozenset[str]:
@@ -279,15 +332,18 @@ class Discovery:
     def left(self, now: float) -> frozenset[str]:
         """The robots that have left, as `result` shows them.
 
-        A stop asks at each arrival: a robot that is heard costs no look at the reports on it.
+        A stop asks at each arrival: of a robot that is heard, or that nobody says has left, the
+        reports are not looked at. They are N**2 of N robots.
         """
-        not_heard = (robot for robot in self._known_since if not self._is_fresh(robot, now))
-        members = ((robot, self._member(robot, now)) for robot in not_heard)
-        return frozenset(
-            robot
-            for robot, member in members
-            if member is not None and member.presence is Presence.LEFT
-        )
+        candidates = tuple(robot for robot in self._may_have_left if not self._is_fresh(robot, now))
+        key = self._events, candidates
+        return self._left.at(key, lambda: frozenset(self._left_of(candidates, now)))
+
+    def _left_of(self, robots: Iterable[str], now: float) -> Iterator[str]:
+        for robot in robots:
+            member = self._member(robot, now)
+            if member is not None and member.presence is Presence.LEFT:
+                yield robot
 
     @property
     def of_other_version(self) -> frozenset[str]:
@@ -316,6 +372,9 @@ class Discovery:
 
         A status by datagram has no members: such a robot has answered once its list has come, too.
         """
+        return self._answered.at(self._events, self._find_answered)
+
+    def _find_answered(self) -> frozenset[str]:
         answered = {
             robot
             for robot in self._statuses.robots
@@ -337,14 +396,19 @@ class Discovery:
 
         False for an id that two daemons hold: a request needs a link to each of the two.
         """
+        if not self._reports.has_full_list(robot):
+            return False
         holders = self.holders(robot)
         is_echoed = all(self._trips.has_answered(robot, instance) for instance in holders)
-        return len(holders) == 1 and is_echoed and self._reports.has_full_list(robot)
+        return len(holders) == 1 and is_echoed
 
     def holders(self, robot: str) -> frozenset[str]:
         """The living instances of an id that beacons or the report of any robot show."""
-        reported = self._reports.doubles(robot) - self._members.farewells(robot).keys()
-        return self._members.holders(robot) | reported
+        holders = self._members.holders(robot)
+        doubles = self._reports.doubles(robot)
+        if not doubles:  # as of nearly all robots
+            return holders
+        return holders | (doubles - self._members.farewells(robot).keys())
 
     def address(self, robot: str) -> Address | None:
         """The source of a robot's beacons, else the address in the newest report, else None."""
@@ -365,8 +429,9 @@ class Discovery:
         unproven: dict[tuple[str, str], Address] = {}  # case 3: perhaps invented by a robot
         for robot in self._known_since:
             heard = self._members.lives(robot)  # the lives of the robot, by instance
-            for living in self.holders(robot) & heard.keys():
-                to_dial[robot, living] = heard[living].address
+            for instance, life in heard.items():
+                if instance in self.holders(robot):
+                    to_dial[robot, instance] = life.address
             if not heard and (report := self._present_report(robot, now)) is not None:
                 address = self.address(robot)
                 group = to_dial if robot in self._statuses.robots else unproven
@@ -453,6 +518,9 @@ class Discovery:
     @property
     def unlisted(self) -> tuple[str, ...]:
         """The robots heard of which no whole member list has come, sorted."""
+        return self._unlisted.at(self._events, self._find_unlisted)
+
+    def _find_unlisted(self) -> tuple[str, ...]:
         return tuple(
             sorted(robot for robot in self.heard if not self._reports.has_full_list(robot))
         )
@@ -511,8 +579,8 @@ class Discovery:
         return max(ends)
 
     def _is_reported_alive(self, robot: str) -> bool:
-        report = most_certain(self._all_reports(robot))
-        return report is not None and report.presence is Presence.ALIVE
+        """True if any report says so: it is the most certain one (`most_certain`)."""
+        return self._reports.is_any_alive(robot, but=self._members.farewells(robot))
 
     def is_over(self, now: float) -> bool:
         """True once the look need not wait longer for the robots that have not answered."""
@@ -627,6 +695,7 @@ class Discovery:
             if now - at > INDIRECT_TIME and not is_seen:
                 del self._last_named_at[robot]
                 self._known_since.pop(robot, None)
+                self._may_have_left.pop(robot, None)
                 self._reports.forget(robot)
 
     def _store_reports(
@@ -651,6 +720,8 @@ class Discovery:
             if robot in self._known_since:
                 self._note_named(robot, now)
                 self._reports.store(robot, reporter, way, some, adds=adds)
+                if any(report.presence is Presence.LEFT for report in some):
+                    self._may_have_left[robot] = None
             if is_new:
                 self._on_news(robot, now)
                 self.found_at = now

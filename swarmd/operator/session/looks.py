@@ -93,6 +93,7 @@ class MemberSearch:
                 now = boottime()
                 count = self._arrivals.count
                 is_complete = discovery.is_complete(now)
+                is_any_heard = bool(discovery.heard)
                 if deadline is not None:
                     ends_incomplete = now >= deadline
                 elif now - discovery.started >= cap:
@@ -109,6 +110,8 @@ class MemberSearch:
                     return discovery.result(now)
             if solicit_timer.is_due(now):
                 self._datagrams.solicit(discovery, now)
+            if is_any_heard and dials is Dials.ALL:
+                self._sessions.prepare()  # while the other robots answer
             dial_due_in = math.inf if is_mute else self._sessions.dial(discovery, now)
             if now >= ask_status_at and status_timer.is_due(now) and not is_mute:
                 self._ask_members(discovery)

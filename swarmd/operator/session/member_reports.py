@@ -215,6 +215,19 @@ class MemberReports:
             for report in reports
         )
 
+    def is_any_alive(self, robot: str, *, but: Collection[str]) -> bool:
+        """True if a report in `of` says that an instance of `robot` that is not in `but` is alive.
+
+        Stops at the first such report: a stop asks for each robot that lacks an ack.
+        """
+        reporters = self._reports.get(robot, {})
+        return any(
+            report.presence is Presence.ALIVE and report.instance not in but
+            for (reporter, way), reports in reporters.items()
+            if way == LIST or (reporter, LIST) not in reporters
+            for report in reports
+        )
+
     def reporters(self, robot: str) -> frozenset[str]:
         """The robots that report a robot."""
         return frozenset(reporter for reporter, _ in self._reports.get(robot, {}))

@@ -22,7 +22,7 @@ import sys
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from functools import partial
-from typing import Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from msgspec.structs import replace
 
@@ -63,7 +63,7 @@ from swarmd.operator.session.exit_codes import FAILED
 from swarmd.operator.session.looks import MemberSearch
 from swarmd.operator.session.members_view import Dials, MembersView
 from swarmd.operator.session.outcome import Outcome
-from swarmd.operator.session.roster import OperatorAdmission, RosterFollower
+from swarmd.operator.session.roster import RosterFollower
 from swarmd.operator.session.senders import (
     REQUEST_WAIT,
     PendingStop,
@@ -81,6 +81,9 @@ from swarmd.operator.session.targets import (
     sendable_name,
     stop_reason,
 )
+
+if TYPE_CHECKING:
+    from swarmd.operator.session.admission import OperatorAdmission
 
 CLOCK_PERIOD = 1.0
 """Seconds between two questions for the clocks of robots, while a lease is renewed: a robot that
@@ -564,6 +567,8 @@ class Operator(Closing):
         return RoutedCarrier(session, settings.swarm, f"operator-{os.urandom(6).hex()}")
 
     def _answers_for(self, identity: Identity) -> OperatorAdmission:
+        from swarmd.operator.session.admission import OperatorAdmission  # most swarms have no keys
+
         rosters = self._rosters
         lease = self.settings.lease_seconds
         return OperatorAdmission(identity, lease, rosters.on_shown, rosters.on_missing_key)
@@ -605,8 +610,8 @@ class Operator(Closing):
         if self._discovery is None:
             return False
         if isinstance(body, Beacon):
-            self._discovery.on_beacon(body, source, now)
-        elif isinstance(body, MemberList):
+            return self._discovery.on_beacon(body, source, now)
+        if isinstance(body, MemberList):
             self._discovery.on_member_list(body, now)
         elif isinstance(body, StatusPart):
             with contextlib.suppress(CodecError):

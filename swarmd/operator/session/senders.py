@@ -528,6 +528,7 @@ class StopSender:
         now = boottime()
         solicit_timer = RepeatTimer(now, SOLICIT_PACE)
         stop_timer = RepeatTimer(now, STOP_PACE)
+        end_timer = RepeatTimer(now, ((float("inf"), END_PERIOD),))
         progress = _Progress(now)
         known_targets: frozenset[str] = frozenset()
         try:
@@ -535,7 +536,10 @@ class StopSender:
                 with self._arrivals.lock:
                     now = boottime()
                     count = self._arrivals.count
-                    is_over = _is_over(pending, now, until, until_all=until_all)
+                    if until is not None:
+                        is_over = now >= until
+                    else:  # each datagram that arrives begins a turn: not in each of these
+                        is_over = not until_all and end_timer.is_due(now) and pending.is_over(now)
                     if is_over or is_ended() or pending.is_done(now):
                         break
                     if until_all:
@@ -565,10 +569,3 @@ class StopSender:
         with self._arrivals.lock:
             self._pending = None
             return pending.outcome(boottime())
-
-
-def _is_over(pending: PendingStop, now: float, until: float | None, *, until_all: bool) -> bool:
-    """True at the time `until`; without this time, once a longer wait is of no use."""
-    if until is not None:
-        return now >= until
-    return not until_all and pending.is_over(now)

@@ -10,7 +10,6 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from functools import cache
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
@@ -43,8 +42,7 @@ if TYPE_CHECKING:
 LEAST_REQUEST_TIME = 0.02
 
 
-@dataclass(frozen=True, slots=True)
-class Session:
+class Session(Struct, frozen=True):
     """An operator's session for one verb, such as `run` or `members`.
 
     `timeout`: the longest time in s that the verb takes. `tell` takes lines for the user.
@@ -59,7 +57,7 @@ class Session:
     timeout: float | None = None
     tell: Callable[[str], object] = lambda text: None
     is_cancelled: Callable[[], bool] = lambda: False
-    began: float = field(default_factory=boottime)
+    began: float = msgspec.field(default_factory=boottime)
     is_owned: Callable[[], bool] = is_program_on
 
     def look(
@@ -142,8 +140,7 @@ class Session:
             self.tell(f"view not complete: {'; '.join(lines)}")
 
 
-@dataclass(frozen=True, slots=True)
-class TargetedView:
+class TargetedView(Struct, frozen=True):
     """The target robots `names` of a verb's requests, and the look `view` that showed them.
 
     `unlabelled`: robots whose labels are not known, so that they may be targets of a label.

@@ -13,17 +13,19 @@ from __future__ import annotations
 
 import contextlib
 import getpass
-import json
 import math
 import os
 import socket
 import time
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from numbers import Integral, Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
+
+import msgspec
+from msgspec import Struct
+from msgspec.structs import replace
 
 from swarmd.core.errors import ConfigError, RequestError, unknown
 from swarmd.core.files import cache_folder
@@ -46,8 +48,7 @@ The stop is sent to robots that have not answered by then, too.
 """
 
 
-@dataclass(frozen=True, slots=True)
-class Targets:
+class Targets(Struct, frozen=True):
     """The robots that a request is for: by names and globs, and by labels.
 
     A robot with any of the `labels` is a target, too. Without names and labels all robots are
@@ -301,7 +302,7 @@ def _write(
         }
         draft = path.with_name(f".{path.name}.{os.getpid()}")  # tempfile takes 10 ms to import
         try:
-            draft.write_text(json.dumps(content))
+            draft.write_bytes(msgspec.json.encode(content))
             draft.replace(path)
         except OSError:
             draft.unlink(missing_ok=True)
@@ -326,9 +327,9 @@ def known_labels(settings: NetworkSettings) -> list[str]:
 
 def _read(settings: NetworkSettings, key: str) -> list[str]:
     try:
-        found = json.loads(_path(settings).read_bytes()[: 256 * MAX_NAMES])[key]
+        found = msgspec.json.decode(_path(settings).read_bytes()[: 256 * MAX_NAMES])[key]
         return [name for name in found if isinstance(name, str) and is_id(name)]
-    except (OSError, RuntimeError, ValueError, TypeError, LookupError):
+    except (OSError, RuntimeError, msgspec.MsgspecError, TypeError, LookupError):
         return []
 
 

@@ -48,7 +48,7 @@ class TimedRays:
         self.mean_age = float(self.ages.mean())
         rising = np.sort(bearings % TURN)
         # rad between neighbouring rays.
-        self.spacing = float(np.median(np.diff(rising))) if len(rising) > 1 else TURN
+        self.spacing = _median(np.diff(rising)) if len(rising) > 1 else TURN
         # How the sensor turns: 1.0 counter-clockwise, -1.0 clockwise, 0.0 neither.
         self.direction, self.oldest = self._direction()
 
@@ -63,6 +63,18 @@ class TimedRays:
         oldest = self.bearings[-self.ages == ages[0]]
         begin = int((direction * _wrap_each(oldest - oldest[0])).argmin())
         return direction, float(oldest[begin])
+
+
+def _median(values: Array) -> float:
+    """The median of at least one finite value, as `np.median`, which loads numpy.ma: 7 ms, 1.1 MB.
+
+    It would do so at the first scan, between two decisions of the robot.
+    """
+    rising = np.sort(values)
+    middle = len(rising) // 2
+    if len(rising) % 2:
+        return float(rising[middle])
+    return 0.5 * float(rising[middle - 1] + rising[middle])
 
 
 def _wrap_each(angles: Array) -> Array:

@@ -6,6 +6,7 @@ import pytest
 from msgspec.structs import replace
 
 from swarmd.core.messages import Epoch, Presence
+from swarmd.link.datagram import Flag
 from swarmd.link.members.membership import MAX_MEMBERS
 from swarmd.operator.session.clocks import QUIET_TIME
 from swarmd.operator.session.discovery import (
@@ -377,3 +378,11 @@ def test_the_time_of_issue_on_a_robots_clock_is_never_too_late() -> None:
     assert view.issue_times(epochs, 10.0)["a"] <= 509.9
     other_life = {"a": Epoch(life(2).hex(), 0)}
     assert view.issue_times(other_life, 10.0) == {}
+
+
+def test_a_report_of_a_life_that_said_farewell_makes_no_look_wait_longer(rig: Rig) -> None:
+    rig.hear("a", "b")
+    rig.tell("b", heard("a"))
+    assert rig.found.ends_at(5.0, ["a"]) == pytest.approx(0.01 + UNREACHABLE_WAIT)
+    rig.hear("a", flags=Flag.LEFT, at=0.02)
+    assert rig.found.ends_at(5.0, ["a"]) == pytest.approx(0.01 + GONE_WAIT)

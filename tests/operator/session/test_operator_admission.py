@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import threading
 
 import pytest
@@ -25,7 +24,8 @@ from swarmd.link.keys.roster import Role
 from swarmd.link.settings import NetworkSettings
 from swarmd.link.signature import Author, Previous, Trust
 from swarmd.operator.session import roster_update
-from swarmd.operator.session.roster import OperatorAdmission, RosterFollower
+from swarmd.operator.session.admission import OperatorAdmission
+from swarmd.operator.session.roster import RosterFollower
 from tests.link.keyring import Keyring
 
 TAG = tag_of("field", "lab")
@@ -128,7 +128,7 @@ def test_nothing_of_a_robot_counts_without_its_key(keyring: Keyring) -> None:
     lacking: list[tuple[str, Address]] = []
     rig = Rig(keyring)
     rig.answers = OperatorAdmission(
-        dataclasses.replace(full, datagram_keys=keys),
+        replace(full, datagram_keys=keys),
         3.0,
         on_missing_key=lambda *hint: lacking.append(hint),
     )

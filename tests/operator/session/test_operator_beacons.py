@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 from swarmd.core.messages import State
 from swarmd.link.datagram import STATES, Flag
 from swarmd.operator.session.clocks import MAX_ROUND_TRIP
 from swarmd.operator.session.members_view import Contact
-from tests.operator.session.discovery_rig import Rig, life
+from tests.operator.session.discovery_rig import Rig, beacon, heard, life
 
 
 @pytest.fixture
@@ -19,6 +21,39 @@ def rig() -> Rig:
 def test_a_robot_that_does_not_own_its_id_yet_is_no_member(rig: Rig) -> None:
     rig.hear("a", flags=int(Flag.JOINING))
     assert rig.found.known == set()
+
+
+def test_only_a_beacon_that_shows_something_new_wakes_a_call(rig: Rig) -> None:
+    def is_news(robot: str, at: tuple[str, int] = ("10.0.0.1", 7440), **told: Any) -> bool:
+        return rig.found.on_beacon(beacon(robot, **told), at, 0.1)
+
+    for echo in (1, 2):
+        rig.found.on_solicit(echo, 0.05)
+    assert is_news("a")  # a robot is found
+    assert is_news("a", sequence=2, echo=1)  # it answers
+    assert not is_news("a", sequence=3, echo=2)
+    assert not is_news("a", sequence=4, revision=7)
+    assert is_news("a", sequence=5, at=("10.0.0.2", 7440))  # it is to be dialled elsewhere
+    assert is_news("a", sequence=1, instance=2)  # a second daemon has its id
+    assert is_news("a", sequence=6, at=("10.0.0.2", 7440))  # and the first one is there, too
+    assert is_news("a", sequence=7, flags=Flag.LEFT)
+
+
+def test_what_is_known_follows_each_beacon_list_and_answer(rig: Rig) -> None:
+    assert not rig.found.heard
+    assert not rig.found.answered
+    assert not rig.found.unlisted
+    rig.hear("a")
+    assert rig.found.heard == {"a"}
+    assert rig.found.unlisted == ("a",)
+    rig.tell("a", heard("b"))
+    assert not rig.found.unlisted
+    assert not rig.found.answered
+    rig.answer("a")
+    assert rig.found.answered == {"a"}
+    rig.hear("a", flags=Flag.LEFT)
+    assert not rig.found.heard
+    assert rig.found.left(0.1) == {"a"}
 
 
 def test_a_beacon_that_was_overtaken_changes_nothing(rig: Rig) -> None:

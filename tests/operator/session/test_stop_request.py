@@ -12,6 +12,7 @@ from swarmd.core.refusal import Refusal
 from swarmd.link.datagram import MAX_MS, Ack, Flag, Stop, pack, tag_of
 from swarmd.operator.session.discovery import Discovery
 from swarmd.operator.session.exit_codes import PARTIAL, TIMEOUT
+from swarmd.operator.session.member_reports import FRESH_TIME, MemberReports
 from swarmd.operator.session.senders import STOP_CAP, STOP_WAIT, PendingStop
 from tests.operator.session.discovery_rig import Rig, heard, life
 
@@ -53,6 +54,33 @@ def test_it_is_done_when_all_have_acked(rig: Rig) -> None:
     assert pending.is_done(0.02)
     outcome = pending.outcome(0.02)
     assert (outcome.exit_code, outcome.reached) == (0, 2)
+
+
+def test_a_turn_of_a_stop_reads_no_reports_of_silent_robots(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def of(self: MemberReports, robot: str) -> None:
+        raise AssertionError("the reports on 100 robots by 100 robots take 20 ms")
+
+    monkeypatch.setattr(MemberReports, "of", of)
+    pending = make(rig)
+    silent = FRESH_TIME + STOP_WAIT + 1.0  # s: neither a nor b is heard any more
+    assert pending.lacking(silent) == ("a", "b")
+    assert pending.is_done(silent) is False
+    assert silent < STOP_CAP
+    assert pending.is_over(silent) is True
+
+
+def test_a_robot_that_left_as_others_say_is_no_target_until_it_is_heard(rig: Rig) -> None:
+    rig.tell("a", heard("b"), heard("c", Presence.LEFT))
+    pending = make(rig)
+    assert pending.lacking(0.02) == ("a", "b")
+    rig.tell("b", heard("a"), heard("c"), at=0.03)
+    assert pending.lacking(0.04) == ("a", "b", "c")
+    rig.tell("b", heard("a"), heard("c", Presence.LEFT), at=0.05)
+    assert pending.lacking(0.06) == ("a", "b")
+    rig.hear("c", at=0.07)
+    assert pending.lacking(0.08) == ("a", "b", "c")
 
 
 def test_a_turn_of_a_stop_makes_no_view_of_all_robots(

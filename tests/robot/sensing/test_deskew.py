@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from swarmd.core.values import Array, Odometry, Pose, Scan, ScanSpec, Sweep, Twist
-from swarmd.robot.sensing.deskew import Deskewer
+from swarmd.robot.sensing.deskew import Deskewer, TimedRays
 from swarmd.robot.sensing.odometry_history import OdometryHistory
 
 N, PERIOD = 360, 0.2
@@ -144,3 +144,18 @@ def test_a_pose_that_jumps_ends_the_history() -> None:
         ride.history.take(reading, 0.05 * tick)
         moves.append(ride.deskewer.deskew(raw, 0.05 * tick, 0.0).bearings is not BEARINGS)
     assert moves == [2 <= tick < 8 or tick >= 10 for tick in range(20)]
+
+
+@pytest.mark.parametrize(
+    ("bearings", "spacing"),
+    [
+        ([0.0], math.tau),
+        ([0.5, 0.0], 0.5),
+        ([1.0, 0.0, 0.25], 0.5),  # steps of 0.25 and 0.75
+        ([0.0, 0.125, 0.375, 1.375], 0.25),  # steps of 0.125, 0.25 and 1
+    ],
+)
+def test_rays_are_spaced_by_the_median_of_their_steps(
+    bearings: list[float], spacing: float
+) -> None:
+    assert TimedRays(np.array(bearings), np.zeros(len(bearings)), None).spacing == spacing
