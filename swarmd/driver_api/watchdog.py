@@ -17,7 +17,6 @@ end.
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import errno
 import json
@@ -35,6 +34,8 @@ from swarmd.core.clock import boottime
 from swarmd.core.errors import DriverError, SwarmError
 
 if TYPE_CHECKING:
+    import argparse
+
     from swarmd.core.values import Value
     from swarmd.driver_api.driver import ZeroSender
 
@@ -310,6 +311,8 @@ def made_zero_sender(maker: str, options: Mapping[str, Value]) -> ZeroSender:
 
 def main() -> NoReturn:
     """Entry of `python -m swarmd.driver_api.watchdog`."""
+    import argparse  # takes 0.4 MB of a daemon, which imports this module for the watchdog's words
+
     parser = argparse.ArgumentParser(prog="swarmd.driver_api.watchdog", description=__doc__)
     parser.add_argument("--fd", type=int, required=True, help="the daemon's socket")
     parser.add_argument("--maker", required=True, help="module:callable, gives the ZeroSender")

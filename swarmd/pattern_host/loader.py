@@ -13,7 +13,6 @@ import inspect
 import os
 import sys
 from collections.abc import Mapping, Sequence
-from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, SourceFileLoader
 from pathlib import Path
 from types import CodeType, ModuleType
@@ -287,7 +286,7 @@ class _SourceLoader(SourceFileLoader):
             raise
 
 
-class _FolderPackage(MetaPathFinder):
+class _FolderPackage:
     """Finds the modules of the package `name`, the Python files beside and below a `pattern.py`.
 
     Reads them all at once. PluginError if they are more than MAX_MODULES, or MAX_SOURCE bytes.
