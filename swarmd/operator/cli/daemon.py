@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
-import logging
 import os
 import resource
 import sys
@@ -150,6 +148,11 @@ def swarmd(
         # Before the settings and keys are read: the forked process, which will run the pattern,
         # must not hold them. `ctx` ends the process when this command ends.
         _fork_host(ctx)
+    # After the fork: the pattern host needs no asyncio, which takes 2 MB of each process.
+    from swarmd.core.openssl import without_openssl
+
+    with without_openssl():
+        import asyncio
     from swarmd.settings.settings import load_daemon_settings
 
     settings = load_daemon_settings(config, overrides)
@@ -184,6 +187,8 @@ def _fork_host(ctx: click.Context) -> None:
 
 def _log_to_stderr(level: str, robot: str) -> None:
     """Log to standard error, without time and level, which the journal of systemd adds."""
+    import logging  # after the fork, as asyncio
+
     from swarmd.daemon.systemd import JournalFormatter, is_journal
 
     handler = logging.StreamHandler(sys.stderr)

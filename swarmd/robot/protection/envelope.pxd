@@ -42,14 +42,18 @@ cdef class Creeping:
     cdef int begin_out(self, Constraints constraints, NearObstacles near, double least) except? -1
 
     @cython.locals(
-        i=cython.Py_ssize_t, point=cython.Py_ssize_t, cap=cython.double, source=cython.p_longlong,
+        i=cython.Py_ssize_t, point=cython.Py_ssize_t, contacts=cython.Py_ssize_t,
+        seen=cython.Py_ssize_t, highest=cython.double, cap=cython.double, source=cython.p_longlong,
         place_gap=cython.p_double, row_cap=cython.p_double, near_index=cython.p_longlong,
         first_row=cython.p_longlong, gap=cython.p_double, scan_gap=cython.p_double,
         contact=cython.p_double, age=cython.p_double, surface=cython.double, kept=cython.double
     )
     cdef int _raise(self, Constraints constraints, NearObstacles near, double least) except? -1
 
-    @cython.locals(point=cython.Py_ssize_t, row=cython.Py_ssize_t)
+    @cython.locals(
+        point=cython.Py_ssize_t, row=cython.Py_ssize_t, gap=cython.p_double,
+        contact=cython.p_double, surface=cython.double
+    )
     cdef int _raise_narrow(self, Constraints constraints, NearObstacles near) except? -1
 
     @cython.locals(i=cython.Py_ssize_t)

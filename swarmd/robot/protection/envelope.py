@@ -270,9 +270,16 @@ class Creeping:
         scan_gap = checked(placed.scan_gap, placed.seen)
         contact = checked(placed.contact, placed.seen)
         age = checked(placed.age, placed.seen)
+        contacts = placed.contacts
+        seen = placed.seen
+        highest = maximum(CREEP_SPEED, least)
         for i in range(rows.count):
+            # No cap is raised above `highest`, so that two of three rows beside eight robots keep
+            # theirs. A row of a point or a gap of NaN has the cap NaN, and is not left out.
+            if row_cap[i] >= highest:
+                continue
             point = source[i]
-            if not placed.contacts <= point < placed.seen:
+            if not contacts <= point < seen:
                 continue
             surface = near.surface_gap[near_index[point]]
             if surface == surface:
@@ -291,9 +298,13 @@ class Creeping:
         """Raise the caps of the nearest places towards narrow obstacles that may touch unseen."""
         rows: ConstraintRows = constraints.rows
         placed: PlacedPoints = constraints.placed
+        gap = checked(placed.gap, placed.seen)
+        contact = checked(placed.contact, placed.seen)
         for point in range(placed.contacts, placed.seen):
+            if not gap[point] <= contact[point]:
+                continue
             surface = near.surface_gap[placed.near_index[point]]
-            if surface == surface or not placed.gap[point] <= placed.contact[point]:
+            if surface == surface:
                 continue
             row = placed.first_row[point]
             cap = min((rows.gap[row] - SURFACE_GAP) / SURFACE_TIME, PART_SPEED)

@@ -3,6 +3,7 @@
 cimport cython
 
 cdef double TOLERANCE
+cdef Py_ssize_t _FEW_ROWS
 
 @cython.final
 cdef class Projection:
@@ -14,8 +15,9 @@ cdef class Projection:
     cdef int project(self, ConstraintRows rows, double x, double y) except? -1
 
     @cython.locals(
-        i=cython.Py_ssize_t, first=cython.Py_ssize_t, row_count=cython.Py_ssize_t,
-        worst_row=cython.Py_ssize_t, count=cython.Py_ssize_t
+        i=cython.Py_ssize_t, first=cython.Py_ssize_t, last=cython.Py_ssize_t,
+        row_count=cython.Py_ssize_t, worse=cython.Py_ssize_t, worst_row=cython.Py_ssize_t,
+        excess=cython.double
     )
     cdef Py_ssize_t _most_violated(self, ConstraintRows rows) except? -2
     cdef int _begin_with_box(self) except? -1

@@ -10,10 +10,12 @@ from swarmd.core import cython_shadow as cython
 from swarmd.core.buffers import checked, doubles
 from swarmd.core.cython_shadow import INFINITY, Doubles
 from swarmd.robot.protection.constraints import ConstraintRows
-from swarmd.robot.protection.outline import CHUNK
 
 TOLERANCE = 1e-12
 """By how much rounding may violate a constraint."""
+
+_FEW_ROWS = 24
+"""Rows that are compared with the worst row at once. 16 to 32 take equal times, 64 a fifth more."""
 
 
 @cython.cclass
@@ -28,7 +30,6 @@ class Projection:
     _corner_y: Doubles
     _clipped_x: Doubles
     _clipped_y: Doubles
-    _excess: cython.double[64]  # by which the point violates each row of a chunk
 
     def __init__(self) -> None:
         self._corner_x = doubles(64)
@@ -71,36 +72,28 @@ class Projection:
         row_x = checked(rows.x, row_count)
         row_y = checked(rows.y, row_count)
         row_cap = checked(rows.cap, row_count)
-        excess = self._excess
         px = self.x
         py = self.y
         worst_row = -1
         worst_excess = TOLERANCE
         while first < row_count:
-            # 1. The excess of each row of a chunk: the compiler vectorises this loop.
-            count = min(CHUNK, row_count - first)
-            for i in range(count):
-                excess[i] = row_x[first + i] * px + row_y[first + i] * py - row_cap[first + i]
-            # 2. The greatest excess. Few rows are worse than all rows before them, so four rows are
-            # compared at once.
-            i = 0
-            while i < count:
-                if (
-                    i + 4 <= count
-                    and excess[i] <= worst_excess
-                    and excess[i + 1] <= worst_excess
-                    and excess[i + 2] <= worst_excess
-                    and excess[i + 3] <= worst_excess
-                ):
-                    i += 4
-                    continue
-                if not (excess[i] <= worst_excess):
-                    worst_excess = excess[i]
-                    worst_row = first + i
-                    if worst_excess != worst_excess:
-                        return worst_row
-                i += 1
-            first += count
+            last = min(first + _FEW_ROWS, row_count)
+            # 1. How many of a few rows are worse than all rows before them: mostly none. The
+            # compiler vectorises this loop, which stores nothing.
+            worse = 0
+            for i in range(first, last):
+                if not (row_x[i] * px + row_y[i] * py - row_cap[i] <= worst_excess):
+                    worse += 1
+            # 2. The worst of these rows.
+            if worse > 0:
+                for i in range(first, last):
+                    excess = row_x[i] * px + row_y[i] * py - row_cap[i]
+                    if not (excess <= worst_excess):
+                        worst_excess = excess
+                        worst_row = i
+                        if worst_excess != worst_excess:
+                            return worst_row
+            first = last
         return worst_row
 
     def _begin_with_box(self) -> None:

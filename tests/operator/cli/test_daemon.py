@@ -351,3 +351,45 @@ def test_output_on_a_full_disk_is_one_line_and_exit_1(program: str) -> None:
             check=False,
         )
     assert (ended.returncode, ended.stderr.count("\n")) == (1, 1), ended.stderr
+
+
+AT_FORK = """
+import os, sys
+from swarmd.operator.cli.daemon import main
+
+def show():
+    named = {"argparse", "asyncio", "logging", "numpy", "zenoh"}
+    print(*sorted(named & sys.modules.keys()), flush=True)
+    os._exit(0)
+
+os.register_at_fork(before=show)
+main([])
+"""
+
+
+@pytest.mark.integration
+def test_a_pattern_host_begins_without_what_the_daemon_alone_needs() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", AT_FORK], capture_output=True, text=True, timeout=CAP, check=False
+    )
+    assert (done.returncode, done.stdout) == (0, "numpy\n"), done.stderr
+
+
+LOADED = """
+import sys
+import numpy as np
+from swarmd.daemon.daemon import serve
+from swarmd.robot.sensing.deskew import TimedRays
+from swarmd.settings.platforms import load_platform
+
+TimedRays(np.linspace(0.0, 6.0, 360), None, load_platform("burger").scan.sweep)
+print(*sorted({"argparse", "numpy", "numpy.ma"} & sys.modules.keys()))
+"""
+
+
+@pytest.mark.integration
+def test_a_daemon_holds_neither_argparse_nor_masked_arrays() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", LOADED], capture_output=True, text=True, timeout=CAP, check=False
+    )
+    assert (done.returncode, done.stdout) == (0, "numpy\n"), done.stderr
