@@ -283,6 +283,8 @@ def main(words: Sequence[str] | None = None) -> int:
     file = BUILD / "results.jsonl"
     tried = results(file, wanted, keeps_killed=options.keep_killed)
     rest = [one for one in wanted if one.mutant not in tried]
+    benches = [*dict.fromkeys(kernels_beside(one.mutant.path) for one in wanted)]
+    rest.sort(key=lambda one: benches.index(kernels_beside(one.mutant.path)))
     print(f"{len(wanted)} mutants, {len(rest)} to try", file=sys.stderr, flush=True)
     is_whole = True
     if rest:
