@@ -43,7 +43,7 @@ from studies.mutants.changed_code import Place, changed_functions, functions_of,
 
 _OURS = ("swarmd", "tests", "studies", "benchmarks")
 _OPTIONS = (
-    *("-q", "--no-header", "-p", "no:cacheprovider", "-o", "timeout=0"),
+    *("-q", "--no-header", "--tb=native", "-p", "no:cacheprovider", "-o", "timeout=0"),
     *("-W", "ignore::pytest.PytestAssertRewriteWarning"),  # of libraries imported before the fork
 )
 _LANE = ("-m", "not integration and not long")
