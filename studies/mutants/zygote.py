@@ -317,10 +317,13 @@ class _Plugin:
 
     def pytest_configure(self) -> None:
         """Take effect before test modules are imported, and after tests/conftest.py is."""
-        from hypothesis import Phase, settings
+        from hypothesis import HealthCheck, Phase, settings
 
-        phases = (Phase.explicit, Phase.generate)
-        settings.register_profile("mutants", settings(phases=phases))
+        changed = settings(
+            phases=(Phase.explicit, Phase.generate),
+            suppress_health_check=[*HealthCheck],  # a bench that traces calls is slow
+        )
+        settings.register_profile("mutants", changed)
         settings.load_profile("mutants")
 
 
