@@ -1,9 +1,10 @@
 """Tries mutants of the code that decides motion: `make night ARGS=mutants`.
 
 A mutant is the code with one operator, number or condition changed (by cosmic-ray). Tests of the
-short lane run on each of them in a copy of the checkout; mutated kernels run interpreted. A mutant
-that no test kills must be in survivors.toml, as equivalent with its reason, or open; else the exit
-code is 1. After a kill, or once the budget is spent (exit code 2), the same command goes on.
+short lane run on each of them in a copy of the checkout; the kernels of a mutated unit run
+interpreted, all others compiled. A mutant that no test kills must be in survivors.toml, as
+equivalent with its reason, or open; else the exit code is 1. After a kill, or once the budget is
+spent (exit code 2), the same command goes on.
 """
 
 from __future__ import annotations
@@ -16,6 +17,9 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from importlib.machinery import EXTENSION_SUFFIXES
+from itertools import chain
 from pathlib import Path
 from queue import SimpleQueue
 from typing import NamedTuple
@@ -28,16 +32,14 @@ from studies import kept
 from studies.mutants.judged import Judged, faults, read
 from studies.mutants.mutant import Mutant, mutants_of
 from studies.mutants.subjects import ROOT, Subject, subjects
-from studies.mutants.zygote import Result, Trial
+from studies.mutants.zygote import UNCHANGED, Result, Trial
 from swarmd.core.errors import SwarmError
 from swarmd.core.files import lock_file
-from swarmd.core.kernels import LIBRARIES, VIEWS
+from swarmd.core.kernels import LIBRARIES, UNITS, VIEWS, source_of
 
 BUILD = ROOT / "build" / "mutants"
 MINUTES = 90.0
 """The budget in CPU-minutes."""
-_LEAST = 15.0  # s of CPU time of a trial
-_SLOWER = 5.0  # times the CPU time without a mutant, after which a mutant hangs
 _SPENT = 2
 
 
@@ -52,6 +54,8 @@ class Tried(Struct, frozen=True):
     outcome: str
     """As of `Result`."""
     said: str
+    seconds: float = 0.0
+    """The CPU time; the first of a bench has its tests without a mutant, too."""
 
     @property
     def is_killed(self) -> bool:
@@ -73,7 +77,7 @@ class Copy:
     def __init__(self, folder: Path) -> None:
         """Copy all files that git knows or would take, and the libraries of kernels."""
         shutil.rmtree(folder, ignore_errors=True)
-        for name in _files():
+        for name in (*_files(), *libraries()):
             source, target = ROOT / name, folder / name
             target.parent.mkdir(parents=True, exist_ok=True)
             if source.is_symlink() or source.exists():
@@ -89,21 +93,9 @@ class Copy:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
         )
-        # In s of CPU time, by path and tests.
-        self._limits: dict[tuple[str, tuple[str, ...]], float] = {}
 
-    def try_tests(self, tests: tuple[str, ...], path: str, source: str) -> Result:
+    def carry_out(self, trial: Trial) -> Result:
         """Run tests on a changed file; SwarmError if they fail without a change."""
-        if (path, tests) not in self._limits:
-            # A comment makes the library of a kernel older than its source, as a mutant does.
-            control = f"{(ROOT / path).read_text()}\n# control\n"
-            plain = self._ask(Trial(path, control, tests, 3600.0, is_control=True))
-            if plain.outcome != "passed":
-                raise SwarmError(f"{' '.join(tests)}: {plain.outcome} unchanged: {plain.said}")
-            self._limits[path, tests] = max(_LEAST, _SLOWER * plain.seconds)
-        return self._ask(Trial(path, source, tests, self._limits[path, tests]))
-
-    def _ask(self, trial: Trial) -> Result:
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self._process.stdin.write(msgspec.json.encode(trial) + b"\n")
@@ -111,7 +103,10 @@ class Copy:
         line = self._process.stdout.readline()
         if not line:
             raise SwarmError(f"the process of the copy has ended: {self._process.wait()}")
-        return msgspec.json.decode(line, type=Result)
+        result = msgspec.json.decode(line, type=Result)
+        if result.outcome == "error" and result.said.startswith(UNCHANGED):
+            raise SwarmError(f"{trial.path}: a test fails {result.said}")
+        return result
 
     def close(self) -> None:
         """End the process."""
@@ -123,11 +118,44 @@ class Copy:
 def _files() -> Sequence[str]:
     words = ["git", "ls-files", "--cached", "--others", "--exclude-standard", "-z"]
     listed = subprocess.check_output(words, cwd=ROOT, text=True)
-    libraries = {
-        f"{name.replace('.', '/')}.abi3.so".replace("swarmd/sim/", "sim/")
-        for name in (*LIBRARIES, VIEWS)
-    }
-    return [*(name for name in listed.split("\0") if name), *sorted(libraries)]
+    return [name for name in listed.split("\0") if name]
+
+
+def libraries() -> Sequence[str]:
+    """The compiled kernels of this checkout, relative to the root.
+
+    Those of a clone have the suffix of its Python, those of a wheel that of the stable ABI.
+    """
+    names = [name.replace(".", "/").replace("swarmd/sim/", "sim/") for name in (*LIBRARIES, VIEWS)]
+    paths = [f"{name}{suffix}" for name in names for suffix in EXTENSION_SUFFIXES]
+    return sorted(path for path in paths if (ROOT / path).exists())
+
+
+def trial_of(plan: _Planned) -> Trial:
+    """The trial of a mutant; subjects whose kernels are in one unit share a bench."""
+    own = kernels_beside(plan.mutant.path)
+    sharing = [
+        (subject, path)
+        for subject in subjects()
+        for path in subject.paths
+        if kernels_beside(path) == own
+    ]
+    files = dict.fromkeys(chain.from_iterable(one.tests + one.more for one, _ in sharing))
+    return Trial(
+        path=plan.mutant.path,
+        source=plan.source,
+        tests=plan.subject.tests + plan.subject.more,
+        bench=tuple(files),
+        changed=tuple(dict.fromkeys(path for _, path in sharing)),
+        interpreted=own,
+    )
+
+
+@cache
+def kernels_beside(path: str) -> tuple[str, ...]:
+    """The kernels in the units of the one in a file; empty if the file is no kernel."""
+    found = [kernels for kernels in UNITS.values() if path in map(source_of, kernels)]
+    return tuple(dict.fromkeys(chain.from_iterable(found)))
 
 
 def planned(chosen: Sequence[Subject]) -> Iterator[_Planned]:
@@ -186,14 +214,13 @@ def run_all(
             return None
         copy = copies.get()
         try:
-            result = copy.try_tests(plan.subject.tests, plan.mutant.path, plan.source)
+            result = copy.carry_out(trial_of(plan))
             left[0] -= result.seconds
-            if result.outcome == "passed" and plan.subject.more:
-                result = copy.try_tests(plan.subject.more, plan.mutant.path, plan.source)
-                left[0] -= result.seconds
         finally:
             copies.put(copy)
-        return Tried(plan.digest, plan.tests, plan.mutant, result.outcome, result.said)
+        return Tried(
+            plan.digest, plan.tests, plan.mutant, result.outcome, result.said, result.seconds
+        )
 
     is_whole = True
     try:
@@ -256,6 +283,8 @@ def main(words: Sequence[str] | None = None) -> int:
     file = BUILD / "results.jsonl"
     tried = results(file, wanted, keeps_killed=options.keep_killed)
     rest = [one for one in wanted if one.mutant not in tried]
+    benches = [*dict.fromkeys(kernels_beside(one.mutant.path) for one in wanted)]
+    rest.sort(key=lambda one: benches.index(kernels_beside(one.mutant.path)))
     print(f"{len(wanted)} mutants, {len(rest)} to try", file=sys.stderr, flush=True)
     is_whole = True
     if rest:
@@ -273,6 +302,8 @@ def main(words: Sequence[str] | None = None) -> int:
         left = len(wanted) - len(tried)
         print(f"the budget is spent, {left} are left: the same command goes on", file=sys.stderr)
         return _SPENT
+    minutes = sum(one.seconds for one in tried.values()) / 60.0
+    print(f"{len(tried)} mutants, tried in {minutes:.1f} CPU-minutes", file=sys.stderr)
     kept.print_parts({"mutants": table(wanted, tried, judged)})
     outcomes = {mutant: one.is_killed for mutant, one in tried.items()}
     some = {

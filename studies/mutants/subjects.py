@@ -43,6 +43,7 @@ _FIRST: Mapping[str, tuple[str, ...]] = {
     "modes": ("test_modes", "test_set_down"),
     "obstacles": ("test_footprint", "test_constraints"),
     "outline": ("test_footprint", "test_constraints"),
+    "passage": ("test_binding_range",),
     "projection": ("test_projection",),
     "protection": ("test_protection", "walls/test_standing_walls"),
     "set_down": ("test_set_down",),

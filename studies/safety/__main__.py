@@ -23,6 +23,7 @@ from studies.safety.columns import COLUMNS
 from studies.safety.driven import faults
 from studies.safety.judge import collisions
 from studies.safety.judgement import judge
+from studies.safety.moved_off import moved_off
 from studies.safety.runs import Task, attackers, carry_out, simulate
 from studies.safety.scenes import (
     ACCEPTANCE_SEEDS,
@@ -217,7 +218,10 @@ def _run_one(options: Options) -> None:
     trace, told = simulate(made, options.seed)
     among, actuation = attackers(trace), made.realism.actuation
     print("Touches:", *(one.text for one in collisions(trace, among)), sep="\n")
-    print("At fault:", *(one.text for one in faults(trace, among, actuation)), sep="\n")
+    print("At fault:")
+    for one in faults(trace, among, actuation):
+        begun = moved_off(trace, one)
+        print(one.text if begun is None else f"{one.text}; the other {begun.text}")
     found = judge(trace, among, actuation)
     if told:
         print("Told:", *told, sep="\n")

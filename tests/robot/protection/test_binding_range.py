@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -107,3 +108,18 @@ def test_the_narrowest_door_corridor_and_meeting(
     assert (found.door, found.corridor, found.meeting) == pytest.approx(
         (door, corridor, meeting), abs=1e-4
     )
+
+
+def test_the_room_ahead_counts_from_the_lidar_that_a_circle_surrounds() -> None:
+    """A circle of 0.5 m is farther ahead than the outline: 0.2 m with a lidar 0.2 m ahead."""
+
+    def ahead(lidar_x: float) -> float:
+        base = a_base()
+        scan = replace(base.scan, offset=(lidar_x, 0.0), near="reported")
+        barrier = {"others_speed": 0.4, "unseen_extent": 0.1, "keep_out": 0.5}
+        protection = {**base.protection, "mode": "barrier", "barrier": barrier}
+        mode: Any = make_mode(replace(base, scan=scan, protection=protection))
+        return float(mode.clearance(0.1).ahead)
+
+    assert ahead(0.1) - ahead(-0.1) == pytest.approx(0.2)
+    assert ahead(0.1) > 0.6  # the circle begins there

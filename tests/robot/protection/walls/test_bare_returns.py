@@ -24,7 +24,7 @@ from swarmd.robot.protection.decision import DecisionContext, ToldObstacle
 from swarmd.robot.protection.footprint import ScanGeometry
 from swarmd.settings.platforms import load_platform
 from tests.support.filter_sim import under_barrier
-from tests.support.kernel_forms import both_forms
+from tests.support.kernel_forms import both_forms, interpreted
 
 FORMS = both_forms("swarmd.robot.protection.barrier")
 KERNELS = [pytest.param(form, id=name) for form, name in zip(FORMS, ("text", "used"), strict=True)]
@@ -686,3 +686,21 @@ def test_a_lidar_of_wide_beams_takes_no_foot(tmp_path: Any) -> None:
     )
     with pytest.raises(ConfigError, match=r"walls_stand\.foot"):
         load_platform(str(file))
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0], ids=["left", "right"])
+@pytest.mark.parametrize("direction", [1.0, -1.0], ids=["along", "back"])
+def test_a_ray_rises_from_a_line_on_the_side_of_the_lidar(side: float, direction: float) -> None:
+    """A ray at 30 degrees to a line along x leads away on the side of the lidar alone."""
+    module = interpreted(
+        "swarmd.robot.protection.walls.bare_returns", because="it calls C's methods"
+    )
+    runs = interpreted("swarmd.robot.protection.walls.straight_runs", because="it makes its types")
+    scan = runs.StraightRuns(ROBOTS["burger"], 1.0)
+    scan.lidar_x, scan.lidar_y = 0.0, side
+    run = runs.Run()
+    run.x, run.y, run.ux, run.uy = 0.0, 0.0, direction, 0.0
+    bare = module.BareReturns(ROBOTS["burger"], 1.0, EXTENT["burger"])
+    cos = math.cos(math.radians(30.0))
+    assert bare._rise(run, scan, cos, 0.5 * side) == pytest.approx(0.5)
+    assert bare._rise(run, scan, cos, -0.5 * side) == pytest.approx(-0.5)

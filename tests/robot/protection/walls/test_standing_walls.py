@@ -18,9 +18,10 @@ from swarmd.core.errors import ConfigError
 from swarmd.core.values import ZERO, Array, Odometry, Pose, Scan, Twist
 from swarmd.robot.protection.decision import DecisionContext, MovedWall
 from swarmd.robot.protection.footprint import ScanGeometry
+from swarmd.robot.protection.walls.walls_settings import WallsStand
 from swarmd.settings.platforms import load_platform
 from tests.support.filter_sim import under_barrier
-from tests.support.kernel_forms import both_forms
+from tests.support.kernel_forms import both_forms, interpreted
 from tests.support.protection import Protection
 
 FORMS = both_forms("swarmd.robot.protection.barrier")
@@ -616,3 +617,41 @@ def test_hostile_settings_are_refused(bad: str, tmp_path: Any) -> None:
     file.write_text(f"extends: burger\nprotection: {{barrier: {{walls_stand: {bad}}}}}\n")
     with pytest.raises(ConfigError, match="walls_stand"):
         load_platform(str(file))
+
+
+def a_wall_and_a_run(*, is_opposite: bool) -> tuple[Any, Any, Any]:
+    """Standing walls, interpreted, and a wall along the line of a run from -1 to 1 m.
+
+    Bins are 4 cm long, and the 64th begins at the middle of the wall, which is that of the run.
+    """
+    module = interpreted(
+        "swarmd.robot.protection.walls.standing_walls", because="it calls C's methods"
+    )
+    runs = interpreted("swarmd.robot.protection.walls.straight_runs", because="it makes its types")
+    settings = WallsStand(length=0.5, seconds=2.0)
+    wall, run = module.Wall(), runs.Run()
+    wall.here_x, wall.here_y = 0.0, 0.0
+    wall.here_ux, wall.here_uy = (-1.0 if is_opposite else 1.0), 0.0
+    run.x, run.y, run.ux, run.uy, run.begin, run.end = 0.0, 0.0, 1.0, 0.0, -1.0, 1.0
+    return module.StandingWalls(BURGER, settings, 0.0), wall, run
+
+
+@pytest.mark.parametrize(
+    ("is_opposite", "first", "last"), [(False, 0.08, 0.24), (True, -0.24, -0.08)]
+)
+def test_a_wall_and_a_run_overlap_beside_covered_bins(
+    is_opposite: bool, first: float, last: float
+) -> None:
+    """Bins 66 to 69: 8 to 24 cm from the middle along the wall, which may lead back on the run."""
+    walls, wall, run = a_wall_and_a_run(is_opposite=is_opposite)
+    wall.low, wall.high = 66, 69
+    assert walls._overlap(wall, run)
+    assert (walls._overlap_first, walls._overlap_last) == pytest.approx((first, last))
+
+
+def test_a_stretch_covers_no_bin_before_its_own() -> None:
+    """It begins 6 cm and ends 10 cm behind the begin of the bins, which is 64 * 4 cm away."""
+    walls, wall, run = a_wall_and_a_run(is_opposite=False)
+    wall.bins[:] = wall.next_bins[:] = [math.inf] * 128
+    walls._cover(wall, run, 0.06 - 2.56, 0.10 - 2.56, 7.0)
+    assert [k for k, since in enumerate(wall.next_bins) if since == 7.0] == [1, 2]
