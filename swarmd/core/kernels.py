@@ -139,6 +139,7 @@ LIBRARIES: Mapping[str, Mapping[str, tuple[str, ...]]] = {
             "swarmd.core.buffers",
             "swarmd.core.odometry_trail",
             "swarmd.robot.kin.hypothesis",
+            "swarmd.robot.kin.sight_fit",
             "swarmd.robot.kin.kin",
         ),
         "swarmd.kit._points": ("swarmd.kit.points",),

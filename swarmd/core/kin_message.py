@@ -8,14 +8,17 @@ place of its axle: a peer at rest that turns does not seem to move.
 from __future__ import annotations
 
 import struct
-from typing import Annotated
+from collections.abc import Mapping, Set
+from typing import Annotated, NamedTuple
 
 from msgspec import Meta, Struct
 
-from swarmd.core.bounds import MAX_COORDINATE, MAX_SECONDS
+from swarmd.core.bounds import MAX_COORDINATE, MAX_SECONDS, Name
 
 MOST_OBJECTS = 8
 """Objects in a message at most: the nearest."""
+MOST_NAMES = 8
+"""Names of robots in each list of a message at most."""
 OBJECT = struct.Struct(">Hh")
 """An object in a message: its distance in mm and its bearing in mrad, big-endian."""
 UNIT = 1e-3  # m, rad or s, of all numbers
@@ -23,10 +26,11 @@ _MOST = round(MAX_COORDINATE / UNIT)
 
 Coordinate = Annotated[int, Meta(ge=-_MOST, le=_MOST)]
 Angle = Annotated[int, Meta(ge=-3142, le=3142)]
+Names = Annotated[tuple[Name, ...], Meta(max_length=MOST_NAMES)]
 
 
 class KinMessage(Struct, frozen=True, array_like=True):
-    """A message of one robot, some 20 bytes and 4 for each object.
+    """A message of one robot, some 24 bytes and 4 for each object.
 
     - `resets`: marks the frame of the odometry; another number is another frame.
     - `stamp`: ms on the clock of the sender, at which all other values are valid.
@@ -34,6 +38,10 @@ class KinMessage(Struct, frozen=True, array_like=True):
     - `objects`: for each narrow object two big-endian numbers: the distance in mm (uint16) and the
       bearing in mrad (int16) of its middle, from the sender's middle and its direction ahead.
     - `asks`: the sender runs a pattern that needs the places of its peers.
+    - `stands`: the base of the sender has the command zero.
+    - `doubted`: the robots that do not tell to see the sender where it is.
+    - `straying`: the robots that move while they tell that they stand.
+    - `fitting`: so many robots tell to see the sender where it is.
     """
 
     resets: Annotated[int, Meta(ge=0, le=2**53)]
@@ -43,3 +51,19 @@ class KinMessage(Struct, frozen=True, array_like=True):
     yaw: Angle
     objects: Annotated[bytes, Meta(max_length=OBJECT.size * MOST_OBJECTS)] = b""
     asks: bool = False
+    stands: bool = False
+    doubted: Names = ()
+    straying: Names = ()
+    fitting: Annotated[int, Meta(ge=0, le=2**31)] = 0
+
+
+class KinOpinions(NamedTuple):
+    """What kin tells of faults of peers: the own findings, and the messages of peers that have any.
+
+    `doubted`, `straying`: the figure of each robot, in words.
+    """
+
+    doubted: Mapping[str, str]
+    straying: Mapping[str, str]
+    fitting: Set[str]
+    told: Mapping[str, KinMessage]

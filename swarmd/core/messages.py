@@ -418,7 +418,12 @@ class PeerFinding(Struct, frozen=True, kw_only=True):
 MUTE = "mute"
 DEAF = "deaf"
 UNHEARD = "unheard"
+MISFIT = "misfit"
+STRAYS = "strays"
+DOUBTED = "doubted"
 """The kinds of `PeerFault`."""
+SUSPICIONS = frozenset({UNHEARD, DOUBTED})
+"""The kinds that this robot alone finds: it may be the culprit."""
 
 
 class PeerFault(Struct, frozen=True, kw_only=True):
@@ -426,10 +431,15 @@ class PeerFault(Struct, frozen=True, kw_only=True):
 
     - `kind`: `mute`: its beacons arrive and its pattern's messages do not. `deaf`: it hears the
       beacons of others and not the messages that still others hear. Robots name both by a majority.
-      `unheard`: the robot with this status misses its messages, and no majority tells it. A later
-      version may tell further kinds.
+      `unheard`: the robot with this status misses its messages, and no majority tells it.
+      `misfit`: what its lidar shows does not fit where two robots or more see it. `strays`: it
+      moves while it tells that it stands, as two robots or more find. `doubted`: the robot with
+      this status alone finds one of both. A later version may tell further kinds.
     - `by`, `of`: so many of the robots that could tell the fault tell it; for `deaf` they hear
-      messages; for `unheard` without the robot with this status.
+      messages; for `unheard` and `doubted` without the robot with this status.
+    - `tellers`: those robots, and the robot with this status is `self`; only of `misfit`, `strays`
+      and `doubted`.
+    - `figure`: by what this robot itself finds it; empty if others tell it.
     - `since`: s since the beacon before the first message that was missed, or, if only others miss
       messages, since their beacons tell it.
     """
@@ -439,6 +449,8 @@ class PeerFault(Struct, frozen=True, kw_only=True):
     by: Count
     of: Count
     since: Seconds = 0.0
+    tellers: tuple[Name, ...] = ()
+    figure: Line = ""
 
     @property
     def text(self) -> str:
@@ -452,6 +464,19 @@ class PeerFault(Struct, frozen=True, kw_only=True):
             return (
                 f"unheard: its beacons arrive here, and its messages do not; {told} others tell the"
                 " same: one of the two radios is at fault"
+            )
+        figure = f" ({self.figure})" if self.figure else ""
+        if self.kind == MISFIT:
+            return (
+                f"misfit: its lidar does not show robots where they are, as {told} robots"
+                f" tell{figure}"
+            )
+        if self.kind == STRAYS:
+            return f"strays: it moves while it tells that it stands, as {told} robots tell{figure}"
+        if self.kind == DOUBTED:
+            return (
+                f"doubted by this robot{figure}; {told} others tell the same: one of the two robots"
+                " is at fault"
             )
         return f"{self.kind}: told by {told} robots"
 

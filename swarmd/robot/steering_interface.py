@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Protocol, TypeAlias
 
-from swarmd.core.kin_message import KinMessage
+from swarmd.core.kin_message import KinMessage, KinOpinions
 from swarmd.core.messages import Reason
 from swarmd.core.values import Neighbor, Odometry, Platform, Scan, Twist
 from swarmd.robot.protection.decision import (
@@ -70,8 +70,11 @@ class NamesPeers(Protocol):
     def observe(self, tracks: Iterable[MovingObject], scan: Scan, now: float) -> None:
         """Take in a scan and the tracks after it."""
 
-    def next_message(self, now: float, asks: bool) -> KinMessage | None:
+    def next_message(self, now: float, asks: bool, stands: bool) -> KinMessage | None:
         """The message to peers that is due."""
+
+    def opinions(self, now: float) -> KinOpinions | None:
+        """What this robot and its peers tell of faults of peers; None: nothing is told."""
 
     def on_message(self, id: str, message: KinMessage, now: float) -> None:
         """Take in the message of a peer."""

@@ -26,7 +26,7 @@ cdef class Ticker:
     cdef public StateMachine _machine
     cdef public object _kept_goals, _requests, _protection, _steering
     cdef public DutyCycle _duty
-    cdef public object _log, _standing, _status_watch
+    cdef public object _log, _standing, _status_watch, _peer_faults
     cdef public double _last_tick, _due_at, _quiet_until, _published_at
     cdef public bint _is_status_due
     cdef Py_ssize_t _restarts

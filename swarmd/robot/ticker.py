@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from swarmd.core.kin_message import KinMessage
     from swarmd.core.values import Odometry
     from swarmd.robot.goals import Goals
+    from swarmd.robot.peer_faults import PeerFaults
     from swarmd.robot.protection.decision import Decision, DecisionContext
     from swarmd.robot.protection.protection import Protection
     from swarmd.robot.requests import RequestHandler
@@ -127,6 +128,7 @@ class Ticker:
     _log: RobotLog
     _standing: StandingWatch
     _status_watch: StatusWatch
+    _peer_faults: PeerFaults
     _last_tick: float
     _due_at: float
     _quiet_until: float
@@ -410,7 +412,14 @@ class Ticker:
             return None
         tracks = steering.tracks(context) or ()
         kin.observe(tracks, scan, now)
-        return kin.next_message(now, asks != 0)
+        opinions = kin.opinions(now)
+        if opinions is not None:
+            for fault in self._peer_faults.judge(opinions, now):
+                self._log.peers(fault.kind, fault.text, [fault.robot], now)
+            self._log.advance(now)
+        command = self.decision.safe
+        stands = command.linear == 0.0 and command.angular == 0.0 and command.lateral == 0.0
+        return kin.next_message(now, asks != 0, stands)
 
     def _look_at_stamps(self, now: float) -> None:
         """Log that stamps of scan or odometry jumped, and the scan delay is measured anew."""

@@ -151,7 +151,7 @@ def play(
             )
             tracks = [(track.id, track.x, track.y) for track in around.tracks]
             kins[row].observe(around.tracks, poll.scan, poll.now + clock)
-            told = kins[row].next_message(poll.now + clock, True)
+            told = kins[row].next_message(poll.now + clock, True, False)
             for other in range(n):
                 if other != row and told is not None and rng.random() >= _LOSS:
                     heapq.heappush(air, (poll.now + _DELAY, len(air), row, other, change(told)))

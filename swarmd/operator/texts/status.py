@@ -80,8 +80,9 @@ def sections_with_events(
 
 
 def _peer_fault(fault: PeerFault) -> tuple[str, str]:
-    """The robot of a fault that peers tell, and the fault with its time."""
-    return fault.robot, f"{fault.text}; for {seconds(fault.since)}"
+    """The robot of a fault that peers tell, and the fault with its time and who tells it."""
+    told_by = f"; told by {', '.join(fault.tellers)}" if fault.tellers else ""
+    return fault.robot, f"{fault.text}; for {seconds(fault.since)}{told_by}"
 
 
 def _readings(status: Status) -> list[tuple[str, str]]:

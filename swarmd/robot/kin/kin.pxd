@@ -5,7 +5,8 @@ cimport cython
 cdef double _MOST_NUMBER, _unit
 cdef Py_ssize_t _object_size, _most_objects
 cdef long long _HIGHEST
-cdef object _Neighbor, _KinMessage
+cdef object _Neighbor, _KinMessage, _KinOpinions
+cdef Py_ssize_t _most_names
 cdef Py_ssize_t _MOST_PEERS, _MOST_TRACKS, _SECTORS
 cdef double _EDGE
 cdef Py_ssize_t _MEMORY
@@ -15,14 +16,20 @@ cdef double _EMPTY, _UNSEEN, _DROPPED, _CONFIRMED, _SURE, _MARGIN, _UNSURE
 cdef Py_ssize_t _LEAST_NEWS
 cdef double _LOST, _LEAST_EXTENT, _FADE, _REACH, _FREE_REACH, _SEEN_MOST, _LONGEST, _AGREED
 cdef double _EARLIER, _STILL, _STILL_TIME, _OWN_WAY, _CLEARED, _ELSEWHERE
+cdef double _JUDGED, _PATH_FITS, _PATH_MAY_FIT, _CONTESTED, _SETTLED, _STRAYED, _TOLD_STRAYED
+cdef double _TOLD_TURNED, _ANCHORED
 
 @cython.final
 cdef class _Track:
     cdef long long id
     cdef double still_x, still_y, still_since, still_way
+    cdef object claimant
+    cdef double claimed_at, contested_at
     cdef double[::1] _places
     cdef Py_ssize_t _count
     def __init__(self, long long id)
+
+    cdef int claim(self, id, double time)
 
     @cython.locals(places=cython.double[::1], i=cython.Py_ssize_t)
     cdef int add(self, double time, double x, double y, double own_way)
@@ -44,6 +51,11 @@ cdef class _Peer:
     cdef double since
     cdef Py_ssize_t row
     cdef bint is_plain, in_reach
+    cdef double stands_since, stood_at, stood_x, stood_y, stood_yaw, track_x, track_y, strayed
+    cdef bint has_stood, has_strayed
+    cdef object message
+    cdef int forget_stand(self)
+    cdef int forget_doubts(self)
     cdef confirmed(self, double now)
 
     @cython.locals(delay=cython.double)
@@ -64,6 +76,10 @@ cdef class Kin:
     cdef double[::1] _free
     cdef double _forgot_at, _told_at, _told_x, _told_y, _told_yaw
     cdef double[::1] _places, _objects
+    cdef double _judged_at
+    cdef bint _has_told
+    cdef object _doubted, _straying
+    cdef Py_ssize_t _fitting
     def __init__(self, double middle=*, long long resets=*)
 
     @cython.locals(taken=cython.int)
@@ -87,7 +103,7 @@ cdef class Kin:
         dx=cython.double, dy=cython.double, distance=cython.longlong, bearing=cython.longlong,
         start=cython.Py_ssize_t
     )
-    def next_message(self, double now, bint asks)
+    def next_message(self, double now, bint asks, bint stands)
 
     @cython.locals(
         period=cython.double, stamp_ms=cython.longlong, x_mm=cython.longlong, y_mm=cython.longlong,
@@ -125,6 +141,21 @@ cdef class Kin:
         to_own=cython.double, yaw=cython.double
     )
     cdef int _compare(self, packed, _Peer peer, double gap)
+
+    @cython.locals(least=cython.double, second=cython.double, rest=cython.double)
+    cdef int _look(self, _Peer peer, Py_ssize_t told_count)
+
+    @cython.locals(is_taken=cython.bint)
+    cdef bint _is_taken(self, _Track track)
+
+    @cython.locals(
+        time=cython.double, told=cython.double, turned=cython.double, seen=cython.double,
+        dx=cython.double, dy=cython.double, distance=cython.double
+    )
+    cdef int _watch_stand(self, _Peer peer)
+
+    @cython.locals(opinion=cython.Py_ssize_t)
+    def opinions(self, double now)
 
     @cython.locals(
         dx=cython.double, dy=cython.double, distance=cython.double, is_news=cython.bint,

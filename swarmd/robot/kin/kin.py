@@ -23,6 +23,11 @@ own odometry (`hypothesis.py`):
 What a peer tells moves the poses of this peer alone, so a liar gives no other robot a name. If it
 copies a peer, its own name may stand at the body of the peer.
 
+Beside the names, kin has a *doubt* of a peer if what it tells to see does not fit where its path
+shows it (`sight_fit.py`), and takes it to *stray* if it moves while it tells that its base has the
+command zero. Robots tell each other both, and `robot/peer_faults.py` names the culprit. No pose,
+name or motion depends on either.
+
 The source of the objects is `Tracker` (`swarmd/robot/steering/tracks.py`) and not the clusters of a
 scan:
 its tracks have an identity over time, by which a track that stands is known, they reach further
@@ -31,7 +36,7 @@ than clusters that no nearer object hides, and steering computes them anyway.
 Frames: the frame of the own odometry, unless a name says another. Times: s on the robot's clock.
 Units: m, rad.
 
-A kernel (see `core/kernels.py`), compiled into one unit with hypothesis.py.
+A kernel (see `core/kernels.py`), compiled into one unit with hypothesis.py and sight_fit.py.
 """
 
 from __future__ import annotations
@@ -44,10 +49,18 @@ from swarmd.core import cython_shadow as cython
 from swarmd.core.angles import PI, TURN, angle_between, wrap
 from swarmd.core.buffers import doubles, view
 from swarmd.core.cython_shadow import INFINITY, Doubles, atan2, cos, fabs, isnan, rint, sin
-from swarmd.core.kin_message import MOST_OBJECTS, OBJECT, UNIT, KinMessage
+from swarmd.core.kin_message import (
+    MOST_NAMES,
+    MOST_OBJECTS,
+    OBJECT,
+    UNIT,
+    KinMessage,
+    KinOpinions,
+)
 from swarmd.core.odometry_trail import ANEW, NEXT, OdometryTrail, is_jump
 from swarmd.core.values import Neighbor
 from swarmd.robot.kin.hypothesis import POINT, Hypothesis, begun, length
+from swarmd.robot.kin.sight_fit import FITS, MISFITS, SightFit
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -63,6 +76,8 @@ _most_objects = MOST_OBJECTS
 _HIGHEST = 1 << 15  # bit of a number of 16 bits, its sign
 _Neighbor = Neighbor
 _KinMessage = KinMessage
+_KinOpinions = KinOpinions
+_most_names = MOST_NAMES
 NO_ROBOT = ""
 """The name of a track that is no robot. None: unknown."""
 _MOST_PEERS = 24
@@ -121,6 +136,16 @@ _STILL_TIME = 2.0  # s
 _OWN_WAY = 0.3  # m
 _CLEARED = 0.25  # m: a peer that moved so far is no standing track
 _ELSEWHERE = 0.5  # m
+# Doubts of peers.
+_JUDGED = 0.95  # s between two judgements
+_PATH_FITS = 0.06  # m that remain between the path of a peer and that of its track
+_PATH_MAY_FIT = 0.12  # m that remain of every other track
+_CONTESTED = 5.0  # s for which a track counts for no peer after the paths of two have fitted it
+_SETTLED = 1.5  # s with the command zero after which a base stands
+_ANCHORED = 5.0  # s for which the place of a base that stands is compared
+_STRAYED = 0.3  # m that a track moves from where its peer stands
+_TOLD_STRAYED = 0.2  # m by the told odometry
+_TOLD_TURNED = 0.5  # rad by it
 
 
 @cython.cclass
@@ -132,6 +157,9 @@ class _Track:
     still_y: float
     still_since: float
     still_way: float
+    claimant: str  # the peer whose path fitted last
+    claimed_at: float  # s
+    contested_at: float  # s, when the paths of two peers fitted last
     _places: Doubles  # a ring of times, x and y
     _count: int  # of all places since the first
 
@@ -139,6 +167,15 @@ class _Track:
         self.id = id
         self._places = doubles(3 * _MEMORY)
         self.still_x = INFINITY
+        self.claimant = ""
+        self.contested_at = -INFINITY
+
+    def claim(self, id: str, time: float) -> None:
+        """Note that the path of the peer `id` fits that of the track."""
+        if id != self.claimant and self.claimant != "" and time - self.claimed_at < _CONTESTED:
+            self.contested_at = time
+        self.claimant = id
+        self.claimed_at = time
 
     def add(self, time: float, x: float, y: float, own_way: float) -> None:
         """Add a place. `own_way`: m that the own robot has travelled."""
@@ -224,6 +261,21 @@ class _Peer:
     known: Neighbor | None  # what stood there
     is_plain: bool  # without a place of its own: distance, bearing and heading are None
     in_reach: bool  # of `known`
+    fit: SightFit | None  # None until the peer moves
+    # While it tells that its base has the command zero: since when, the track that showed it then,
+    # the told pose and the place of this track once it has settled, and `strayed`, m that it moved.
+    stands_since: float
+    stood_at: float  # s
+    stood_x: float
+    stood_y: float
+    stood_yaw: float
+    has_stood: bool
+    stood_track: _Track | None
+    track_x: float
+    track_y: float
+    has_strayed: bool
+    strayed: float
+    message: KinMessage | None  # the last one, if it tells of others
 
     def __init__(self, id: str) -> None:
         self.id = id
@@ -235,6 +287,20 @@ class _Peer:
         self.began_at = -INFINITY
         self.compared_at = -INFINITY
         self.delay = INFINITY
+        self.stands_since = INFINITY
+
+    def forget_stand(self) -> None:
+        """Forget where the peer stood."""
+        self.stands_since = INFINITY
+        self.has_stood = False
+        self.stood_track = None
+        self.has_strayed = False
+        self.strayed = 0.0
+
+    def forget_doubts(self) -> None:
+        """Forget all that depends on the frame of an odometry."""
+        self.fit = None
+        self.forget_stand()
 
     def confirmed(self, now: float) -> Hypothesis | None:
         """The pose that is confirmed of a peer that is not silent."""
@@ -304,6 +370,11 @@ class Kin:
     # Points: of tracks at the time of a message, and of the objects in it, seen from the peer.
     _places: Doubles
     _objects: Doubles
+    _judged_at: float  # s, of the last `opinions`
+    _has_told: bool  # they were not None
+    _doubted: tuple[str, ...]  # as of then, for the own messages
+    _straying: tuple[str, ...]
+    _fitting: int
 
     def __init__(self, middle: float = 0.0, resets: int = 0) -> None:
         """`middle`: m by which the middle of what others see lies ahead of the axle.
@@ -321,6 +392,9 @@ class Kin:
         self._free = doubles(_SECTORS)
         self._places = doubles(POINT * _MOST_TRACKS)
         self._objects = doubles(POINT * _most_objects)
+        self._judged_at = -INFINITY
+        self._doubted = ()
+        self._straying = ()
 
     def on_odometry(self, odometry: Odometry, now: float) -> None:
         """Take in an own reading, ten a second. A jump moves the frame: all is forgotten."""
@@ -336,6 +410,7 @@ class Kin:
             for peer in self._heard:
                 peer.hypotheses = []
                 peer.best = None
+                peer.forget_doubts()
         self._shift = odometry.stamp - now
 
     def observe(self, tracks: Iterable[Any], scan: Scan, now: float) -> None:
@@ -399,10 +474,11 @@ class Kin:
                     free[sector] = 0.0 if isnan(distance_of_ray) else distance_of_ray
         return free[_sector_of(bearing)] > distance
 
-    def next_message(self, now: float, asks: bool) -> KinMessage | None:
+    def next_message(self, now: float, asks: bool, stands: bool) -> KinMessage | None:
         """The message of this robot, after `observe`; None if it is not due yet.
 
-        `asks`: this robot runs a pattern that needs the places of its peers.
+        `asks`: this robot runs a pattern that needs the places of its peers. `stands`: its base has
+        the command zero.
         """
         if self._trail.count == 0:
             return None
@@ -452,6 +528,10 @@ class Kin:
             _units(wrap(self._yaw)),
             bytes(objects),
             asks != 0,
+            stands != 0,
+            self._doubted,
+            self._straying,
+            self._fitting,
         )
 
     def on_message(self, id: str, message: KinMessage, now: float) -> None:
@@ -474,7 +554,8 @@ class Kin:
             return
         # All fields in one call, which takes as long as two of them each by itself. Integers of
         # Python become doubles six times faster by way of integers of C.
-        resets, told_stamp, told_x, told_y, told_yaw, told_objects, _ = astuple(message)
+        fields = astuple(message)
+        resets, told_stamp, told_x, told_y, told_yaw, told_objects, _, stands, *doubts = fields
         stamp_ms = told_stamp
         x_mm = told_x
         y_mm = told_y
@@ -507,6 +588,7 @@ class Kin:
             peer.left = 0.0
             peer.turn = 0.0
             peer.began_at = -INFINITY
+            peer.forget_doubts()
         peer.resets = resets
         peer.stamp = stamp
         peer.heard_at = now
@@ -522,6 +604,11 @@ class Kin:
         if gap >= period - _EARLY:
             self._compare(told_objects, peer, min(gap, _MOST_GAP))
             peer.compared_at = time
+        peer.message = message if any(doubts) else None
+        if stands:
+            self._watch_stand(peer)
+        else:
+            peer.forget_stand()
 
     @staticmethod
     def on_message_many(kins: list[Kin], id: str, message: KinMessage, now: float) -> None:
@@ -681,6 +768,136 @@ class Kin:
                     self._begin(peer, places[i], places[i + 1], yaw, max(places[i + 2], 0.3))
         self._rank(peer)
         self._agree(peer, gap, told_count)
+        if told_count < _most_objects:  # of more objects the own robot may be none
+            self._look(peer, told_count)
+
+    def _look(self, peer: _Peer, told_count: int) -> None:
+        """Compare what a peer tells to see with where its path shows it.
+
+        A peer that `_match` has named is its track. Any other is the only track that its path fits,
+        and no path of another peer may have fitted this track: two that go in step are not judged.
+        """
+        fit: SightFit | None = peer.fit
+        if fit is None:
+            fit = SightFit()
+            peer.fit = fit
+        if not fit.begin_mark(peer.time, peer.told_x, peer.told_y):
+            return
+        track: _Track
+        for track in self._tracks:
+            x, y, is_there = track.place_at(peer.time)
+            if is_there:
+                fit.add(track.id, x, y)
+        found: _Track | None = None
+        least = INFINITY
+        second = INFINITY
+        for track in self._tracks:
+            if track is not peer.track and (peer.track is not None or self._is_taken(track)):
+                continue
+            rest = fit.fit(track.id, peer.told_yaw)
+            if rest < _PATH_MAY_FIT:
+                track.claim(peer.id, peer.time)
+            if rest < least:
+                second = least
+                least = rest
+                found = track
+            else:
+                second = min(second, rest)
+        if found is None or least >= _PATH_FITS or second < _PATH_MAY_FIT:
+            return
+        if found is not peer.track and peer.time - found.contested_at < _CONTESTED:
+            return
+        fit.fit(found.id, peer.told_yaw)
+        fit.look(self._x, self._y, self._objects, told_count, peer.time)
+
+    def _is_taken(self, track: _Track) -> bool:
+        """True if a track shows a peer that is named."""
+        peer: _Peer
+        is_taken = False
+        for peer in self._heard:
+            is_taken = is_taken or peer.track is track
+        return is_taken
+
+    def _watch_stand(self, peer: _Peer) -> None:
+        """Find out whether a peer moves while its base has the command zero, after a message."""
+        time = peer.time
+        if peer.stands_since == INFINITY:
+            peer.stands_since = time
+            peer.stood_track = peer.track  # its pose may be lost as it moves
+        if time - peer.stands_since < _SETTLED:
+            return
+        if not peer.has_stood or time - peer.stood_at > _ANCHORED:
+            # What stands drifts away in the frame of the own odometry, so it is compared anew.
+            peer.has_stood = True
+            peer.stood_at = time
+            if peer.track is not None:
+                peer.stood_track = peer.track
+            peer.stood_x = peer.told_x
+            peer.stood_y = peer.told_y
+            peer.stood_yaw = peer.told_yaw
+            if peer.stood_track is not None:
+                peer.track_x, peer.track_y, is_there = peer.stood_track.place_at(time)
+                if not is_there:
+                    peer.stood_track = None
+            return
+        told = length(peer.told_x - peer.stood_x, peer.told_y - peer.stood_y)
+        turned = angle_between(peer.told_yaw, peer.stood_yaw)
+        if told > _TOLD_STRAYED or turned > _TOLD_TURNED:
+            peer.strayed = max(peer.strayed, told)
+            peer.has_strayed = True
+        track: _Track | None = peer.stood_track
+        if track is None:
+            return
+        x, y, is_there = track.place_at(time)
+        seen = length(x - peer.track_x, y - peer.track_y)
+        dx = peer.track_x - self._x
+        dy = peer.track_y - self._y
+        distance = length(dx, dy)
+        # A track may pass from a robot that stands to one that drives by: then the place shows it.
+        if (
+            is_there
+            and seen > _STRAYED
+            and distance < _FREE_REACH
+            and self._is_free(atan2(dy, dx) - self._yaw, distance + _SEEN_MOST)
+        ):
+            peer.strayed = max(peer.strayed, seen)
+            peer.has_strayed = True
+
+    def opinions(self, now: float) -> KinOpinions | None:
+        """What this robot and its peers tell of others; None: it is no time, or nothing is told."""
+        if now - self._judged_at < _JUDGED:
+            return None
+        self._judged_at = now
+        doubted: dict[str, str] = {}
+        straying: dict[str, str] = {}
+        fitting: set[str] = set()
+        told: dict[str, KinMessage] = {}
+        is_told = False
+        peer: _Peer
+        for peer in self._heard:
+            if now - peer.heard_at > _SILENCE:
+                continue
+            if peer.message is not None:
+                told[peer.id] = peer.message
+                is_told = is_told or bool(peer.message.doubted) or bool(peer.message.straying)
+            if peer.has_strayed:
+                straying[peer.id] = f"moved by {peer.strayed:.2f} m"
+            if peer.fit is None:
+                continue
+            fit: SightFit = peer.fit
+            opinion = fit.opinion(now)
+            if opinion == FITS:
+                fitting.add(peer.id)
+            elif opinion == MISFITS:
+                doubted[peer.id] = fit.text()
+        self._doubted = tuple(list(doubted)[:_most_names])
+        self._straying = tuple(list(straying)[:_most_names])
+        self._fitting = len(fitting)
+        has_told = self._has_told
+        self._has_told = is_told or bool(doubted) or bool(straying)
+        if not (has_told or self._has_told):
+            return None
+        return _KinOpinions(doubted, straying, frozenset(fitting), told)
 
     def _judge(self, one: Hypothesis, peer: _Peer, gap: float, count: int, told_count: int) -> None:
         """Raise or lower the score of a pose by what both robots see."""

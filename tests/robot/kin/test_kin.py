@@ -16,12 +16,14 @@ from msgspec.structs import replace as changed
 from swarmd.core.kin_message import KinMessage
 from swarmd.core.values import Neighbor, Odometry, Pose, Scan, Twist
 from swarmd.robot.kin.kin import NO_ROBOT, Kin
+from swarmd.robot.peer_faults import PeerFaults
 
 PERIOD = 0.2
 FREE = Scan(0, 0.0, np.empty(0), np.empty(0), 0.1, 3.5)
 HOUR = 3600.0
 Path = Callable[[float], tuple[float, float, float]]
 Relay = Callable[[str, KinMessage, float], Iterable[tuple[str, KinMessage]]]
+Lens = Callable[[float, float], tuple[float, float]]
 PILLARS = [(1.5, 0.4), (-1.2, -1.0), (0.2, 1.9)]
 
 
@@ -86,12 +88,16 @@ class World:
     silent: frozenset[str] = frozenset()
     hidden: frozenset[str] = frozenset()  # robots of which nobody sees a track
     scan: Callable[[World, str], Scan] = lambda world, id: FREE
+    lenses: dict[str, Lens] = field(default_factory=dict)  # of a lidar: what it makes of a place
+    standing: frozenset[str] = frozenset()  # robots whose base has the command zero
+    odometers: dict[str, Path] = field(default_factory=dict)  # what is not the true pose
     time: float = 0.0
 
     def __post_init__(self) -> None:
         self.rng = random.Random(4)
         self.frames = {id: (k - 1.0, 0.5 * k, 0.7 * k) for k, id in enumerate(self.paths)}
         self.kins = {id: Kin() for id in self.paths}
+        self.peer_faults = {id: PeerFaults() for id in self.paths}
         self.bodies: list[str | tuple[float, float]] = [*self.paths, *PILLARS]
 
     def now(self, id: str) -> float:
@@ -107,18 +113,24 @@ class World:
             self.time += PERIOD
             for id, kin in self.kins.items():
                 own = self.paths[id](self.time)
+                measured = self.odometers.get(id, self.paths[id])(self.time)
                 odometry = Odometry(
-                    self.time, Pose(*seen_from(self.frames[id], own)), Twist(0.0, 0.0)
+                    self.time, Pose(*seen_from(self.frames[id], measured)), Twist(0.0, 0.0)
                 )
                 kin.on_odometry(odometry, self.now(id))
                 tracks: list[Any] = []
                 for index, body in enumerate(self.bodies):
                     x, y, _ = seen_from(own, (*self.place(index), 0.0))
                     if body != id and body not in self.hidden and math.hypot(x, y) < 3.5:
+                        if id in self.lenses:
+                            x, y = self.lenses[id](x, y)
                         tracks.append(Seen(index, x, y))
                 kin.observe(tracks, self.scan(self, id), self.now(id))
+                opinions = kin.opinions(self.now(id))
+                if opinions is not None:
+                    self.peer_faults[id].judge(opinions, self.now(id))
             for id, kin in self.kins.items():
-                told = kin.next_message(self.now(id), True)
+                told = kin.next_message(self.now(id), True, id in self.standing)
                 if told is None:
                     continue
                 for other, listener in self.kins.items():
@@ -140,6 +152,10 @@ class World:
         assert one.heading is not None
         assert one.error is not None
         return Place(one.distance, one.bearing, one.heading, one.age, one.error)
+
+    def faults(self, id: str) -> dict[str, str]:
+        """The kind of the fault of each robot that robot `id` knows or suspects."""
+        return {one.robot: one.kind for one in self.peer_faults[id].at(self.now(id))}
 
     def wrong(self) -> list[tuple[str, str, str]]:
         """Viewer, body and name of each wrong name."""
@@ -404,7 +420,7 @@ def test_a_message_has_the_eight_nearest_objects(side: int) -> None:
         far, bearing = 1.1 + 0.1 * k, 0.1 * k * side
         objects.append(Seen(k, far * math.cos(bearing) - 0.1, far * math.sin(bearing)))
     kin.observe(objects, FREE, 1.0)
-    told = kin.next_message(1.0, True)
+    told = kin.next_message(1.0, True, False)
     assert told is not None
     assert (told.x, told.y, told.yaw) == (1913, 950, 524)  # the middle lies behind the axle
     assert (told.stamp, told.resets, told.asks) == (1000, 7, True)
@@ -420,7 +436,7 @@ def test_a_robot_tells_five_times_a_second_while_it_moves_and_once_at_rest() -> 
         way = min(0.2 * now, 1.0)
         kin.on_odometry(Odometry(now, Pose(way, 0.0, 0.0), Twist(0.0, 0.0)), now)
         kin.observe([], FREE, now)
-        if kin.next_message(now, False) is not None:
+        if kin.next_message(now, False, False) is not None:
             told.append(now)
     assert [round(now, 1) for now in told[:26]] == [round(0.2 * k, 1) for k in range(26)]
     assert [round(now, 1) for now in told[26:]] == [6.0, 7.0, 8.0, 9.0]
@@ -431,7 +447,7 @@ def test_a_robot_whose_odometry_no_message_can_hold_tells_nothing(far: float) ->
     kin = Kin()
     kin.on_odometry(Odometry(0.0, Pose(far, 0.0, 0.0), Twist()), 0.0)
     kin.observe([Seen(1, 1.0, 0.0)], FREE, 0.0)
-    assert kin.next_message(0.0, True) is None
+    assert kin.next_message(0.0, True, False) is None
 
 
 @pytest.mark.parametrize("far", [math.nan, math.inf, 1e300])
@@ -439,5 +455,5 @@ def test_a_track_that_no_message_can_hold_is_told_in_bounds(far: float) -> None:
     kin = Kin()
     kin.on_odometry(Odometry(0.0, Pose(), Twist()), 0.0)
     kin.observe([Seen(1, far, 0.0)], FREE, 0.0)
-    told = kin.next_message(0.0, True)
+    told = kin.next_message(0.0, True, False)
     assert told is None or len(told.objects) == 4

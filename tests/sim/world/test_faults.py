@@ -373,6 +373,38 @@ def test_peers_name_a_mute_and_a_deaf_robot(
         assert any(FAULTY in line for line in lines) == bool(told)
 
 
+KIN = {
+    "asks": {
+        "platform": "waffle_pi",
+        "count": 1,
+        "pattern": "attraction",
+        "parameters": {"kin": True},
+    },
+    "walks": {"platform": "waffle_pi", "prefix": "tb3", "count": 4, "pattern": "random_walk"},
+}
+POLES = [{"at": [1.0, 1.0], "radius": 0.12}, {"at": [-1.2, 0.5], "radius": 0.12}]
+
+
+@pytest.mark.parametrize(
+    ("fault", "begins", "told"),
+    [
+        ({"base": "ignores_zero"}, 1.0, {(FAULTY, "strays")}),
+        ({"base": "ignores_zero"}, 13.9, set()),  # the control: the fault is to come
+    ],
+)
+def test_peers_name_a_robot_that_drives_on_behind_a_stop(
+    fault: dict[str, Any], begins: float, told: set[tuple[str, str]]
+) -> None:
+    made = scenario(fault, at=begins, groups=KIN, duration=14.0, realism="realistic")
+    stop = replace(made.events[-1], at=8.0, action="stop", fault=None)
+    lab = Lockstep(replace(made, events=tuple(sorted((*made.events, stop), key=lambda e: e.at))), 3)
+    lab.advance(13.0)
+    for shell in lab.shells:
+        assert shell is not None
+        found = shell.robot.status(lab.world.time).peer_faults
+        assert {(one.robot, one.kind) for one in found} == told
+
+
 def test_the_charge_of_a_battery_with_a_fault_is_read() -> None:
     platforms = {"burger": {"extends": "burger", "body": {"battery_time": 1000.0}}}
     made = scenario({"battery": "low", "charge": 0.07}, platforms=platforms)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from swarmd.core import codec
 from swarmd.core.goal import GoalState
-from swarmd.core.messages import UNHEARD, PeerFault, Presence, State, Status
+from swarmd.core.messages import SUSPICIONS, PeerFault, Presence, State, Status
 from swarmd.operator.session.members_view import Contact, SeenMember
 from swarmd.operator.texts.keys import key_warnings
 from swarmd.operator.texts.values import NOTHING, number, seconds
@@ -223,7 +223,7 @@ def told_by_peers(statuses: Iterable[Status]) -> Iterator[str]:
             if fault.by > told.by:
                 faults[fault.robot, fault.kind] = fault, tellers
     for fault, tellers in faults.values():
-        told_by = f" (told by {', '.join(tellers)})" if fault.kind == UNHEARD else ""
+        told_by = f" (told by {', '.join(tellers)})" if fault.kind in SUSPICIONS else ""
         yield f"{fault.robot} {fault.text}; for {seconds(fault.since)}{told_by}"
 
 

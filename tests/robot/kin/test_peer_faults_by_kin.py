@@ -1,0 +1,270 @@
+"""Whose lidar does not fit and who strays, in the hand-made world of test_kin.py."""
+
+from __future__ import annotations
+
+import math
+import random
+import struct
+from collections.abc import Iterable
+from typing import Any
+
+import pytest
+from msgspec.structs import replace
+
+from swarmd.core.kin_message import KinMessage
+from swarmd.core.messages import DOUBTED, MISFIT, STRAYS
+from swarmd.sim.lockstep.lockstep import Lockstep
+from swarmd.sim.scenarios.scenariofile import scenario_of
+from tests.robot.kin.test_kin import WALKERS, Lens, Path, Relay, World, circle, stood
+
+ENOUGH = 150.0  # s, of three robots that see each other nearly all the time
+
+
+def turned(degrees: float) -> Lens:
+    c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+    return lambda x, y: (c * x - s * y, s * x + c * y)
+
+
+def longer(by: float) -> Lens:
+    def place(x: float, y: float) -> tuple[float, float]:
+        share = 1.0 + by / math.hypot(x, y)
+        return share * x, share * y
+
+    return place
+
+
+LENSES: dict[str, Lens] = {
+    "turned by 10 degrees": turned(10.0),
+    "turned by -10 degrees": turned(-10.0),
+    "turned by 90 degrees": turned(90.0),
+    "mirrored": lambda x, y: (x, -y),
+    "0.3 m long": longer(0.3),
+}
+SOUND: dict[str, Lens] = {"sound": lambda x, y: (x, y), "turned by 2 degrees": turned(2.0)}
+
+
+@pytest.mark.parametrize("lens", LENSES.values(), ids=LENSES.keys())
+def test_all_robots_name_the_one_whose_lidar_is_wrong_and_no_other(lens: Lens) -> None:
+    world = World(lenses={"c": lens})
+    world.run(ENOUGH)
+    for id in "ab":
+        assert world.faults(id) == {"c": MISFIT}
+        (fault,) = world.peer_faults[id].at(world.now(id))
+        other = "b" if id == "a" else "a"
+        assert (fault.by, fault.tellers) == (2, (other, "self"))
+        assert fault.figure
+        assert fault.since < ENOUGH
+    assert world.faults("c")["c"] == MISFIT  # it learns that of the others
+    assert MISFIT not in {kind for robot, kind in world.faults("c").items() if robot != "c"}
+
+
+@pytest.mark.parametrize("lens", SOUND.values(), ids=SOUND.keys())
+def test_nobody_is_named_or_doubted_while_all_lidars_are_right(lens: Lens) -> None:
+    world = World(lenses={"c": lens})
+    world.run(ENOUGH)
+    assert [world.faults(id) for id in "abc"] == [{}, {}, {}]
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("kind", ["walk", "in step", "a person"])
+def test_nobody_is_named_or_doubted_in_a_sound_swarm(kind: str, seed: int) -> None:
+    """A person is a body that tells nothing; `in step` four robots drive congruent circles."""
+    rng = random.Random(seed)
+    paths = {
+        id: circle(rng.uniform(-1, 1), rng.uniform(-1, 1), 0.5, rng.uniform(0.3, 0.5), rng.random())
+        for id in "abcd"
+    }
+    if kind == "in step":
+        paths = {id: circle(1.0 * n, 0.1 * seed * n, 0.5, 0.4) for n, id in enumerate("abcd")}
+    world = World(paths, silent=frozenset("d" if kind == "a person" else ""), loss=0.1)
+
+    def check() -> None:
+        assert [world.faults(id) for id in "abcd"] == [{}] * 4
+
+    world.run(ENOUGH, check)
+
+
+def test_two_in_step_of_which_one_is_hidden_are_not_judged() -> None:
+    """The paths of both fit the one track, and neither tells an object, so it has no name."""
+
+    def relay(id: str, told: KinMessage, time: float) -> Iterable[tuple[str, KinMessage]]:
+        yield id, replace(told, objects=b"") if id in "ab" else told
+
+    paths = {"a": WALKERS["a"], "b": circle(5.0, 5.0, 0.5, 0.4), "c": WALKERS["c"]}
+    world = World(paths, relay=relay, hidden=frozenset("b"))
+    world.run(ENOUGH)
+    assert world.faults("c") == {}
+    alone = World({id: paths[id] for id in "ac"}, relay=relay)
+    alone.run(ENOUGH)
+    assert alone.faults("c") == {"a": DOUBTED}  # the control
+
+
+def test_of_two_robots_none_can_tell_the_culprit() -> None:
+    world = World({id: WALKERS[id] for id in "ac"}, lenses={"c": LENSES["mirrored"]})
+    world.run(ENOUGH)
+    assert world.faults("a") == {"c": DOUBTED}
+    assert world.faults("c").keys() <= {"a"}
+    assert MISFIT not in world.faults("c").values()
+
+
+def test_a_lidar_that_is_right_again_is_named_no_more() -> None:
+    world = World(lenses={"c": LENSES["0.3 m long"]})
+    world.run(ENOUGH)
+    world.lenses.clear()
+    world.run(ENOUGH)
+    assert [world.faults(id) for id in "abc"] == [{}, {}, {}]
+
+
+def rests(path: Path, start: float) -> Path:
+    return stood(path, start, math.inf)
+
+
+@pytest.mark.parametrize("is_told", [True, False], ids=["odometry right", "odometry stands"])
+def test_a_robot_that_moves_while_it_tells_that_it_stands_strays(is_told: bool) -> None:
+    world = World(odometers={} if is_told else {"c": rests(WALKERS["c"], 30.0)})
+    world.run(30.0)
+    assert world.names("a")["c"] == world.names("b")["c"] == "c"
+    world.standing = frozenset("c")
+    world.run(8.0)
+    for id in "ab":
+        assert world.faults(id) == {"c": STRAYS}
+    assert world.faults("c") == {"c": STRAYS}
+    world.standing = frozenset()
+    world.run(3.0)
+    assert STRAYS not in {*world.faults("a").values(), *world.faults("b").values()}
+
+
+@pytest.mark.parametrize("moves", [True, False])
+def test_a_robot_that_drives_or_stands_as_it_tells_does_not_stray(moves: bool) -> None:
+    paths = WALKERS if moves else {**WALKERS, "c": rests(WALKERS["c"], 30.0)}
+    world = World(dict(paths))
+    world.run(30.0)
+    world.standing = frozenset() if moves else frozenset("c")
+    world.run(30.0)
+    assert [world.faults(id) for id in "abc"] == [{}, {}, {}]
+
+
+# One robot that lies, or is broken
+
+FORMATION: dict[str, Path] = {id: circle(x, 0.0, 0.4, 0.4) for x, id in enumerate("abc")}
+
+
+def blames(id: str, told: KinMessage, time: float) -> Iterable[tuple[str, KinMessage]]:
+    """Robot b blames all others of all."""
+    others = ("a", "c", "d")
+    yield (
+        id,
+        replace(told, doubted=others, straying=others, fitting=9) if id == "b" else told,
+    )
+
+
+def turns_objects(id: str, told: KinMessage, time: float) -> Iterable[tuple[str, KinMessage]]:
+    """Robot b tells objects elsewhere, and blames the others for it."""
+    if id == "b":
+        pairs = struct.iter_unpack(">Hh", told.objects)
+        objects = b"".join(struct.pack(">Hh", d, (b + 1570) % 3141) for d, b in pairs)
+        told = replace(told, objects=objects, doubted=("a", "c"), fitting=9)
+    yield id, told
+
+
+def jumps(id: str, told: KinMessage, time: float) -> Iterable[tuple[str, KinMessage]]:
+    """Robot b tells places that jump, up to the greatest numbers of a message."""
+    far = (0, 300, -2_000, 10**9)[int(time) % 4]
+    yield id, replace(told, x=told.x + far, y=told.y - far) if id == "b" else told
+
+
+def repeats(id: str, told: KinMessage, time: float) -> Iterable[tuple[str, KinMessage]]:
+    """Robot b tells an old place in each second message, and late."""
+    yield id, told
+    if id == "b":
+        yield id, replace(told, stamp=max(told.stamp - 1_000, 0), x=0, y=0)
+
+
+def copies(id: str, told: KinMessage, time: float) -> Iterable[tuple[str, KinMessage]]:
+    """Robot b tells in its own name what robot a tells."""
+    if id != "b":
+        yield id, told
+    if id == "a":
+        yield "b", replace(told, doubted=("c",), straying=("c",), fitting=3)
+
+
+def garbles(id: str, told: KinMessage, time: float) -> Iterable[tuple[str, KinMessage]]:
+    """Robot b tells objects at the greatest and least numbers."""
+    yield id, replace(told, objects=b"\xff\xff\x7f\xff\x00\x00\x80\x00") if id == "b" else told
+
+
+@pytest.mark.parametrize(
+    "relay", [blames, turns_objects, jumps, repeats, copies, garbles], ids=lambda one: one.__name__
+)
+@pytest.mark.parametrize("paths", [WALKERS, FORMATION], ids=["walk", "formation"])
+def test_one_liar_gets_no_other_robot_named(relay: Relay, paths: dict[str, Path]) -> None:
+    world = World({**paths, "d": circle(0.4, -1.4, 0.4, -0.5)}, relay=relay)
+
+    def check() -> None:
+        for id in "acd":
+            named = {robot for robot, kind in world.faults(id).items() if kind != DOUBTED}
+            assert named <= {"b"}
+
+    world.run(ENOUGH, check)
+
+
+def test_a_robot_without_numbers_for_places_is_not_judged() -> None:
+    world = World(lenses={"c": lambda x, y: (math.nan, math.inf)})
+    world.run(ENOUGH)
+    assert set(world.faults("a").values()) <= {DOUBTED, MISFIT}
+    assert MISFIT not in {kind for robot, kind in world.faults("a").items() if robot != "c"}
+
+
+# The table of docs/evidence/faults.md, in lockstep
+
+FAULTY = "w-02"
+WALK = {"platform": "waffle_pi", "start": {"layout": "random", "clearance": 0.3}}
+TABLE: dict[str, tuple[dict[str, Any] | None, float]] = {
+    "lidar 0.3 m long": ({"scan": "offset", "offset": 0.3}, 300.0),
+    "lidar mirrored": ({"scan": "mirrored"}, 300.0),
+    "lidar turned by 90 degrees": ({"scan": "turned", "angle_deg": 90}, 300.0),
+    "lidar turned by 10 degrees": ({"scan": "turned", "angle_deg": 10}, 900.0),
+    "base ignores zero, and a stop after 30 s": ({"base": "ignores_zero"}, 60.0),
+    "none": (None, 300.0),
+}
+
+
+@pytest.mark.evidence
+@pytest.mark.parametrize("name", TABLE)
+def test_which_faults_of_a_lidar_and_a_base_peers_name(name: str) -> None:
+    fault, duration = TABLE[name]
+    events: list[dict[str, Any]] = [{"at": 30, "stop": FAULTY}] if "zero" in name else []
+    if fault is not None:
+        events.insert(0, {"at": 2, "fault": fault, "robots": FAULTY})
+    asks = {"prefix": "asks", "count": 1, "pattern": "attraction", "parameters": {"kin": True}}
+    poles = ((1.0, 1.0, 0.12), (-1.2, 0.5, 0.12), (0.2, -1.3, 0.15))
+    made = scenario_of(
+        {
+            "duration": duration,
+            "arena": {
+                "size": [4.5, 4.5],
+                "poles": [{"at": [x, y], "radius": radius} for x, y, radius in poles],
+            },
+            "realism": "realistic",
+            "groups": {
+                "asks": {**WALK, **asks},
+                "walks": {**WALK, "prefix": "w", "count": 4, "pattern": "random_walk"},
+            },
+            "events": events,
+        }
+    )
+    times: list[float] = []
+    others: set[str] = set()
+    for seed in range(17000, 17020):
+        lab = Lockstep(made, seed)
+        named: set[str] = set()
+        while lab.world.time < duration - 1e-6 and not named:
+            lab.advance(1.0)
+            for shell in lab.shells:
+                assert shell is not None
+                found = shell.robot.status(lab.world.time).peer_faults
+                named |= {one.robot for one in found if one.kind != DOUBTED}
+        times += [lab.world.time - 2.0] if FAULTY in named and fault is not None else []
+        others |= named - ({FAULTY} if fault is not None else set())
+    print(f"{name}: named in {len(times)} of 20, after {sorted(times)} s")
+    assert others == set()
