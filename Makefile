@@ -99,9 +99,9 @@ archive: wheels
 release: $(VENV)/tools
 	@$(BIN)/python .ci/release $(URL)
 
-# The version that tests/swarm/test_versions.py lets meet this one: the last one before leases, permits,
-# drive and kin changed on the wire. In the user's cache, for all checkouts.
-EARLIER := e0319367a12844bbbe2596d5a6d8cb891c0a4f2c
+# The version that tests/swarm/test_versions.py lets meet this one: 0.2.0, whose users update first. A
+# release sets the commit of the version before it. In the user's cache, for all checkouts.
+EARLIER := a8e6a8de6c46af36f6e38027e279cc1feb1f0326
 
 earlier: $(VENV)/tools
 	@.ci/build-earlier $(BIN)/python $(EARLIER)

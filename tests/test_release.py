@@ -136,3 +136,17 @@ def test_the_changelog_begins_with_the_version_of_the_package() -> None:
     first = re.search(r"^## (\S+), ", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
     assert first is not None
     assert first[1] == project["version"]
+
+
+def test_no_deprecated_name_outlives_the_version_that_takes_it_away() -> None:
+    """Each warning says `X.Y.Z takes NAME away` (CONTRIBUTING.md, deprecation)."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    version = tuple(int(number) for number in project["version"].split("."))
+    folders = ("swarmd", "patterns", "drivers", "sim", "config")
+    files = [file for folder in folders for file in (ROOT / folder).rglob("*.py")]
+    promised = [
+        (tuple(int(number) for number in numbers), str(file.relative_to(ROOT)))
+        for file in files
+        for numbers in re.findall(r"(\d+)\.(\d+)\.(\d+) takes \S+ away", file.read_text())
+    ]
+    assert [row for row in promised if row[0] <= version] == []

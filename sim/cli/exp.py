@@ -118,6 +118,7 @@ def exp() -> None:
     "--shard", metavar="K/N", help="Run only the K-th of N parts; `exp merge` joins their folders."
 )
 @engine_options
+@click.option("--scheduler", metavar="ADDRESS", hidden=True)  # the name of --on in 0.2.0
 @fresh_option
 @click.option("--no-traces", is_flag=True, help="Keep only metrics; fewer plots are possible.")
 @click.option(
@@ -154,6 +155,7 @@ def run(
     shard: str | None,
     on: str | None,
     scheduler_file: Path | None,
+    scheduler: str | None,
     is_fresh: bool,
     no_traces: bool,
     until: str | None,
@@ -177,6 +179,12 @@ def run(
     # 1. Libraries.
     need("mujoco")
     from swarmd.sim.experiments.outcomes import is_outcomes
+
+    if scheduler is not None:
+        warn(f"--scheduler is deprecated: give --on {scheduler}; 0.4.0 takes --scheduler away")
+        if on is not None:
+            raise ConfigError("--on and --scheduler both name a cluster; leave out --scheduler")
+        on = scheduler
 
     if is_outcomes(scenario):
         options = RunOptions(

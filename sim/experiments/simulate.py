@@ -13,8 +13,10 @@
 
 from __future__ import annotations
 
+import logging
 import shutil
 import tempfile
+import warnings
 import weakref
 from collections.abc import Callable, Collection, Generator, Iterable, Mapping, Sequence
 from contextlib import closing, suppress
@@ -27,7 +29,7 @@ from typing import Any, TypeAlias, cast
 from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.core.numbers import python_value
 from swarmd.core.pin import functions_here
-from swarmd.sim.experiments.executor import Executor, on_executor
+from swarmd.sim.experiments.executor import Executor, dask_cluster, on_executor
 from swarmd.sim.experiments.known_runs import known_runs
 from swarmd.sim.experiments.manifest import Manifest, manifest_of, plain
 from swarmd.sim.experiments.plan import Plan, Run, check_seeds, make_plan, parse_shard
@@ -67,6 +69,8 @@ class Progress:
     the longest run."""
 
 
+log = logging.getLogger(__name__)
+
 _TRIAL = 1.0  # simulated s
 
 OnProgress: TypeAlias = Callable[[Progress], None]
@@ -93,6 +97,7 @@ def simulate(
     executor: Executor | None = None,
     in_process: bool = False,
     fresh: bool = False,
+    scheduler: str | None = None,
 ) -> Results:
     """Run a scenario once for each seed (a number n means 0 to n - 1), and measure every run.
 
@@ -117,12 +122,40 @@ def simulate(
     - `in_process`: this process does the runs, for a debugger. It is not pinned, and the manifest
       says so: last bits may be others. Nothing is taken from the store of runs.
     - `fresh`: all runs are done, also those that the store of runs has, and none is kept there.
+    - `scheduler`: deprecated, `executor` replaces it; the address of a Dask scheduler.
     - `on_progress`: called with the progress after each run, and in worker processes also during
       runs. `progress()` of `swarmd.sim.cli.progress` gives the display of `swarmctl exp run`.
 
     ConfigError before anything runs if scenario, seeds or overrides are invalid. Failed runs are
     in `failures` of the results. SwarmError if all runs failed.
     """
+    if scheduler is not None:
+        warnings.warn(
+            "simulate(scheduler=ADDRESS) is deprecated: give executor=, such as"
+            " Client(ADDRESS).get_executor(pure=False) of Dask; 0.4.0 takes scheduler away",
+            DeprecationWarning,
+            stacklevel=2,
+        )
+        if executor is not None:
+            raise ConfigError("executor and scheduler both do the runs; leave out scheduler")
+        with dask_cluster(scheduler, warn=log.warning) as cluster:
+            return simulate(
+                scenario,
+                seeds,
+                set=set,
+                sweep=sweep,
+                jobs=jobs,
+                out=out,
+                traces=traces,
+                timeout=timeout,
+                shard=shard,
+                cores=cores,
+                metrics=metrics,
+                on_progress=on_progress,
+                executor=cluster,
+                in_process=in_process,
+                fresh=fresh,
+            )
     if jobs < 1:
         raise ConfigError(f"jobs is {jobs}; expected 1 or more")
     if cores < 1:

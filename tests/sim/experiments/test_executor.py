@@ -16,7 +16,8 @@ from typing import Any
 
 import pytest
 
-from swarmd.core.errors import SwarmError
+from swarmd.core.errors import ConfigError, SwarmError
+from swarmd.operator.cli.swarmctl import cli, exit_code_of, run_cli
 from swarmd.sim.experiments.executor import (
     Call,
     dask_cluster,
@@ -362,6 +363,25 @@ def test_an_address_without_a_scheduler_is_refused(
     """The empty one is that of an unset variable of a shell; one of `tls` needs certificates."""
     words = ("exp", "run", duo, "--seeds", 1, "--out", "far", "--on", address)
     assert f"scheduler {address}:" in refusal(*words)
+
+
+def test_the_option_of_0_2_0_that_names_a_cluster_is_taken_with_a_warning(
+    duo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    words = ["exp", "run", str(duo), "--seeds", "1", "--scheduler", "nonsense://x", "--out", "far"]
+    assert run_cli(cli, words, "swarmctl", exit_code_of) == 2
+    warning, error = capsys.readouterr().err.splitlines()
+    assert all(word in warning for word in ("--scheduler", "--on nonsense://x", "0.4.0"))
+    assert "scheduler nonsense://x:" in error
+
+
+def test_simulate_takes_the_scheduler_of_0_2_0_with_a_warning() -> None:
+    with (
+        pytest.warns(DeprecationWarning, match=r"executor=.* 0\.4\.0"),
+        pytest.raises(ConfigError, match="scheduler nonsense://x:"),
+    ):
+        simulate("aggregation", 1, scheduler="nonsense://x")
 
 
 @pytest.mark.parametrize(
