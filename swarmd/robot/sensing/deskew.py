@@ -71,10 +71,8 @@ def _median(values: Array) -> float:
     It would do so at the first scan, between two decisions of the robot.
     """
     rising = np.sort(values)
-    middle = len(rising) // 2
-    if len(rising) % 2:
-        return float(rising[middle])
-    return 0.5 * float(rising[middle - 1] + rising[middle])
+    count = len(rising)
+    return 0.5 * float(rising[(count - 1) // 2] + rising[count // 2])
 
 
 def _wrap_each(angles: Array) -> Array:
