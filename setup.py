@@ -75,6 +75,7 @@ DIRECTIVES = {
 # operation of the kernels reads errno or traps, so loops can be vectorised.
 FLAGS = [
     "-O3",
+    "-funroll-loops",  # a tenth of a decision beside eight robots; a tenth more code
     "-ffp-contract=off",
     "-fno-math-errno",
     "-fno-trapping-math",
