@@ -65,7 +65,7 @@ HELD = "docs/evidence/beside.md"
 BENCH, PAPER, FIRST = "benchmarks/README.md", "docs/paper.md", "docs/installation.md"
 # What README.md quotes, and where: page, start of the row, and the column of the cell by its head.
 QUOTED = {
-    "[{1} % of their time](docs/evidence/beside.md#what-it-costs-in-ordinary-runs), for {0} %": (
+    "[{0} % of their time](docs/evidence/beside.md#what-it-costs-in-ordinary-runs)": (
         HELD, "nine TurtleBots 4, 5 x 5 m               | as the platform", "held"
     ),
     "[{0} % of a core idle, {1} % driving": (BENCH, "CPU, daemon and host, idle / driving", ""),
