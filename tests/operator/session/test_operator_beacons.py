@@ -11,7 +11,7 @@ from swarmd.link.datagram import STATES, Flag
 from swarmd.operator.session.clocks import MAX_ROUND_TRIP
 from swarmd.operator.session.member_reports import FRESH_TIME
 from swarmd.operator.session.members_view import Contact
-from tests.operator.session.discovery_rig import LEFT, Rig, beacon, heard, life
+from tests.operator.session.discovery_rig import LEFT, Rig, address, beacon, heard, life
 
 
 @pytest.fixture
@@ -48,9 +48,18 @@ def test_a_beacon_of_a_robot_that_counted_as_gone_wakes_a_call(rig: Rig) -> None
     assert is_news(1, 0.0)
     assert not is_news(2, 1.0)
     rig.tell("a", heard("c", LEFT), at=1.5)
-    assert rig.found.left(1.0 + FRESH_TIME + 0.5) == {"c"}
-    assert is_news(3, 1.0 + FRESH_TIME + 0.5)  # a call that waits for robots waits for it again
-    assert not is_news(4, 1.0 + FRESH_TIME + 0.6)
+    assert rig.found.left(1.5) == frozenset()
+    silent = 1.0 + FRESH_TIME + 0.5
+    assert rig.found.left(silent) == {"c"}  # nothing came meanwhile
+    assert is_news(3, silent)  # a call that waits for robots waits for it again
+    assert rig.found.left(silent) == frozenset()
+    assert not is_news(4, silent + 0.1)
+
+
+def test_the_farewell_of_a_robot_wakes_a_call(rig: Rig) -> None:
+    rig.hear("a", sequence=1)
+    farewell = beacon("a", sequence=2, flags=Flag.LEFT)
+    assert rig.found.on_beacon(farewell, address("a"), 0.1)
 
 
 def test_a_beacon_that_shows_which_of_two_lives_goes_on_wakes_a_call(rig: Rig) -> None:
