@@ -25,6 +25,7 @@ from swarmd.link.carriers.session import (
     open_in_thread,
     open_operator_session,
     open_session,
+    open_with,
     operator_options,
     session_options,
     tune_links,
@@ -348,3 +349,10 @@ def test_an_error_of_one_item_does_not_end_the_thread_of_a_callback(
     assert is_going_on
     assert taken == [1, 2]
     assert "cannot take" in caplog.text
+
+
+def test_an_option_that_is_not_utf_8_is_one_line() -> None:
+    folder = os.fsdecode(b"/home/m\xfcller/keys")
+    with pytest.raises(NetworkError, match="no session for swarm 'meadow': ") as caught:
+        open_with({"transport/link/tls/root_ca_certificate": folder}, "swarm 'meadow'")
+    assert "\n" not in str(caught.value)

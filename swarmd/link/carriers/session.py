@@ -159,7 +159,7 @@ def open_with(options: Mapping[str, object], what: str) -> zenoh.Session:
         for path, value in options.items():
             config.insert_json5(path, msgspec.json.encode(value).decode())
         return zenoh.open(config)
-    except zenoh.ZError as error:
+    except (zenoh.ZError, UnicodeEncodeError) as error:  # a path may be no UTF-8
         raise NetworkError(f"no session for {what}: {_explain(str(error), options)}") from error
 
 

@@ -218,7 +218,7 @@ class Discovery:
         instance = beacon.instance.hex()
         if not self._has_room(robot):
             return False
-        is_same = self._is_known_by(beacon, address)
+        is_same = self._is_known_by(beacon, address, now)
         left_at = self._members.left_at(robot, beacon.instance)
         is_answer = left_at is not None and self._trips.is_after(beacon.echo, left_at)
         change = self._members.take(beacon, address, now, is_answer=is_answer)
@@ -237,14 +237,19 @@ class Discovery:
         self._events += 1
         return change in (Change.FOUND, Change.LEFT) or not is_same
 
-    def _is_known_by(self, beacon: Beacon, address: Address) -> bool:
+    def _is_known_by(self, beacon: Beacon, address: Address, now: float) -> bool:
         """True if the only life of a robot has this address, and has answered as this beacon does.
 
-        A beacon of one of several lives may show which of them lives.
+        A beacon of one of several lives may show which of them lives, also of a life that counts as
+        the earlier one of a robot that left. A beacon after FRESH_TIME shows that the robot is not
+        gone.
         """
-        lives = self._members.lives(beacon.robot)
+        robot = beacon.robot
+        lives = self._members.lives(robot)
         instance = beacon.instance.hex()
-        if self.asks_by_datagram or lives.keys() != {instance}:
+        if self.asks_by_datagram or lives.keys() != {instance} or not self._is_fresh(robot, now):
+            return False
+        if self.holders(robot) != {instance}:
             return False
         has_answered = not beacon.echo or self._trips.has_answered(beacon.robot, instance)
         return has_answered and lives[instance].address == address

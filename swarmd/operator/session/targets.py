@@ -329,7 +329,7 @@ def _read(settings: NetworkSettings, key: str) -> list[str]:
     try:
         found = msgspec.json.decode(_path(settings).read_bytes()[: 256 * MAX_NAMES])[key]
         return [name for name in found if isinstance(name, str) and is_id(name)]
-    except (OSError, RuntimeError, msgspec.MsgspecError, TypeError, LookupError):
+    except (OSError, RuntimeError, ValueError, TypeError, LookupError):  # ValueError: also no UTF-8
         return []
 
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import click
 import pytest
 from msgspec.structs import replace
 
 from swarmd.core.errors import RequestError
 from swarmd.core.messages import Presence
+from swarmd.link.settings import NetworkSettings
 from swarmd.operator.cli.targets import read_targets
 from swarmd.operator.session.exit_codes import NO_TARGET
 from swarmd.operator.session.members_view import MembersView
@@ -15,7 +18,10 @@ from swarmd.operator.session.outcome import Outcome
 from swarmd.operator.session.targets import (
     Targets,
     check_known,
+    known_labels,
     named,
+    remember,
+    remembered,
     robots_of,
     stop_targets,
     unlabelled,
@@ -190,3 +196,18 @@ def test_a_name_beside_the_roster_is_no_misspelt_one(name: str, word: str) -> No
         with pytest.raises(RequestError, match=word):
             robots_of(secured, Targets((name,)))
     assert robots_of(secured, Targets(("r5",))) == ("r5",)
+
+
+def test_a_look_takes_and_replaces_a_damaged_cache(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    settings = NetworkSettings(swarm="meadow")
+    heard = MembersView({"r1": make_member("r1", Presence.FAILED)})  # without a status, as of a run
+    remember(settings, heard)
+    (file,) = tmp_path.rglob("*.json")
+    for damaged in (b'{"names": ["r9"], "labels": ["\xff"]}', b"\xff", b"", b"[" * 5000):
+        file.write_bytes(damaged)
+        assert (known_labels(settings), remembered(settings)[0]) == ([], [])
+        remember(settings, heard)
+        assert remembered(settings)[0] == ["r1"]

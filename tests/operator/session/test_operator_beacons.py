@@ -9,8 +9,9 @@ import pytest
 from swarmd.core.messages import State
 from swarmd.link.datagram import STATES, Flag
 from swarmd.operator.session.clocks import MAX_ROUND_TRIP
+from swarmd.operator.session.member_reports import FRESH_TIME
 from swarmd.operator.session.members_view import Contact
-from tests.operator.session.discovery_rig import Rig, beacon, heard, life
+from tests.operator.session.discovery_rig import LEFT, Rig, address, beacon, heard, life
 
 
 @pytest.fixture
@@ -37,6 +38,41 @@ def test_only_a_beacon_that_shows_something_new_wakes_a_call(rig: Rig) -> None:
     assert is_news("a", sequence=1, instance=2)  # a second daemon has its id
     assert is_news("a", sequence=6, at=("10.0.0.2", 7440))  # and the first one is there, too
     assert is_news("a", sequence=7, flags=Flag.LEFT)
+
+
+def test_a_beacon_of_a_robot_that_counted_as_gone_wakes_a_call(rig: Rig) -> None:
+    def is_news(sequence: int, now: float) -> bool:
+        told = beacon("c", sequence=sequence)
+        return rig.found.on_beacon(told, ("10.0.0.1", 7440), now)
+
+    assert is_news(1, 0.0)
+    assert not is_news(2, 1.0)
+    rig.tell("a", heard("c", LEFT), at=1.5)
+    assert rig.found.left(1.5) == frozenset()
+    silent = 1.0 + FRESH_TIME + 0.5
+    assert rig.found.left(silent) == {"c"}  # nothing came meanwhile
+    assert is_news(3, silent)  # a call that waits for robots waits for it again
+    assert rig.found.left(silent) == frozenset()
+    assert not is_news(4, silent + 0.1)
+
+
+def test_the_farewell_of_a_robot_wakes_a_call(rig: Rig) -> None:
+    rig.hear("a", sequence=1)
+    farewell = beacon("a", sequence=2, flags=Flag.LEFT)
+    assert rig.found.on_beacon(farewell, address("a"), 0.1)
+
+
+def test_a_beacon_that_shows_which_of_two_lives_goes_on_wakes_a_call(rig: Rig) -> None:
+    def is_news(instance: int, now: float, **told: Any) -> bool:
+        told = {"instance": instance} | told
+        return rig.found.on_beacon(beacon("a", **told), ("10.0.0.1", 7440), now)
+
+    assert is_news(1, 0.0)
+    assert is_news(2, 0.1)
+    assert is_news(2, 0.2, sequence=2, flags=Flag.LEFT)
+    assert rig.found.to_dial(0.3) == {}
+    assert is_news(1, 0.3, sequence=2)
+    assert rig.found.to_dial(0.3) == {("a", life(1).hex()): ("10.0.0.1", 7440)}
 
 
 def test_what_is_known_follows_each_beacon_list_and_answer(rig: Rig) -> None:

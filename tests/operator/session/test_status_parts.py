@@ -347,6 +347,27 @@ def test_a_status_by_datagram_is_an_answer_once_the_whole_member_list_has_come()
     assert not look.is_complete(2.0)  # b has not answered
 
 
+def test_a_status_that_comes_after_the_member_list_is_an_answer_at_once() -> None:
+    look = Discovery(0.0, asks_by_datagram=True)
+    look.on_solicit(1, 0.0, wants_status=True)
+    look.on_beacon(heard("a", 1), ("10.0.0.1", 7440), 0.01)
+    look.on_member_list(a_list(), 0.01)
+    assert not look.answered
+    for one in status_parts("a", LIFE, 1, CONTENT):
+        look.on_status_part(one, 0.02)
+    assert look.answered == {"a"}
+
+
+def test_a_beacon_that_announces_no_status_wakes_the_look_that_dials_then() -> None:
+    look = Discovery(0.0, asks_by_datagram=True)
+    look.on_solicit(1, 0.0, wants_status=True)
+    address = ("10.0.0.1", 7440)
+    look.on_beacon(heard("a", 1), address, 0.01)
+    assert look.to_link(0.02) == {}
+    assert look.on_beacon(replace(heard("a", 0), sequence=2), address, 0.02)
+    assert look.to_link(0.02) == {("a", LIFE.hex()): address}
+
+
 def test_a_robot_whose_member_list_is_lost_is_dialled_and_names_its_members() -> None:
     look = Discovery(0.0, asks_by_datagram=True)
     told_status(look)

@@ -164,20 +164,26 @@ def test_a_stop_that_was_applied_is_not_lost_with_stdout(
     assert "Traceback" not in done.stderr
 
 
-class Suspended:
-    """A carrier on a machine that is suspended for 100 s after the first stop was sent."""
+class Silent:
+    """A carrier without robots. With each stop that is sent, `step` s pass.
 
-    def __init__(self, clock: list[float]) -> None:
+    Raises `end` with the stop number `most`.
+    """
+
+    def __init__(self, clock: list[float], step: float, most: int, end: BaseException) -> None:
         self._clock = clock
+        self._step = step
+        self._most = most
+        self._end = end
         self.ages: list[int] = []
 
     def send(self, payload: bytes) -> None:
         body = unpack(tag_of("dev", "x"), payload)
         if isinstance(body, Stop):
             self.ages.append(body.age)
-            self._clock[0] += 100.0
-            if len(self.ages) == 2:
-                raise KeyboardInterrupt
+            self._clock[0] += self._step
+            if len(self.ages) == self._most:
+                raise self._end
 
     def send_to(self, payload: bytes, address: Address) -> None:
         raise AssertionError("no robot is known")
@@ -192,11 +198,25 @@ class Suspended:
         """Nothing is open."""
 
 
-def test_the_age_of_a_stop_counts_the_time_in_suspend(monkeypatch: pytest.MonkeyPatch) -> None:
-    clock = [0.0]
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """The time in s, which a `Silent` carrier moves."""
+    now = [0.0]
     for module in (operator_module, stop_sender):
-        monkeypatch.setattr(module, "boottime", lambda: clock[0])
-    carrier = Suspended(clock)
+        monkeypatch.setattr(module, "boottime", lambda: now[0])
+    return now
+
+
+def test_the_age_of_a_stop_counts_the_time_in_suspend(clock: list[float]) -> None:
+    carrier = Silent(clock, 100.0, most=2, end=KeyboardInterrupt())
     with Operator(NetworkSettings(swarm="x"), carrier=carrier) as operator:
         operator.send_stop("estop", until_all=True)
     assert carrier.ages == [0, 100_000]
+
+
+def test_a_stop_of_robots_that_are_not_heard_ends_after_its_wait(clock: list[float]) -> None:
+    carrier = Silent(clock, 1.0, most=30, end=AssertionError("the stop does not end"))
+    with Operator(NetworkSettings(swarm="x"), carrier=carrier, roster=["a"]) as operator:
+        outcome = operator.send_stop("stop")
+    assert outcome.line == "1 targeted, 0 applied, 1 no answer (a)"
+    assert carrier.ages == [0, 1000, 2000]  # STOP_WAIT is 3 s
