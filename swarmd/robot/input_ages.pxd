@@ -22,6 +22,7 @@ cdef class InputAges:
     cdef public bint _is_late
     cdef public double _stale_after, _max_delay
     cdef public object _ring, _places, _anchors, kin, _make_kin
+    cdef public bint _is_partial
     cdef public double _middle, _kin_until
     cdef public object _teller
     cdef public bint _is_new_scan
