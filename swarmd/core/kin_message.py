@@ -30,7 +30,7 @@ Names = Annotated[tuple[Name, ...], Meta(max_length=MOST_NAMES)]
 
 
 class KinMessage(Struct, frozen=True, array_like=True):
-    """A message of one robot, some 24 bytes and 4 for each object.
+    """A message of one robot, some 25 bytes and 4 for each object.
 
     - `resets`: marks the frame of the odometry; another number is another frame.
     - `stamp`: ms on the clock of the sender, at which all other values are valid.
@@ -43,7 +43,8 @@ class KinMessage(Struct, frozen=True, array_like=True):
     - `doubted`: the robots that do not tell to see the sender where it is.
     - `straying`: the robots that move while they tell that they stand.
     - `fitting`: so many robots tell to see the sender where it is.
-    - `is_partial`: the lidar of the sender leaves out directions, so it need not see a robot.
+    - `is_partial`: the lidar of the sender leaves out directions or is short, so that it need not
+      see a robot within 1.8 m.
     """
 
     resets: Annotated[int, Meta(ge=0, le=2**53)]

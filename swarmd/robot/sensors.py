@@ -61,6 +61,8 @@ SCAN_TIMES = 12  # scans over which the scan rate is measured
 
 _WIDEST_GAP = math.radians(20.0)
 """rad between neighbouring rays, behind which a robot that moves is hidden at some looks alone."""
+_LEAST_RANGE = 2.0
+"""m, with which a lidar shows a robot within 1.8 m, up to which kin looks."""
 
 
 class Sensors(InputAges):
@@ -103,6 +105,7 @@ class Sensors(InputAges):
         self._is_partial = self._make_kin is not None and _is_partial(platform.scan)
         # m from the axle ahead to the middle of what other lidars see.
         self._middle = 0.5 * float(platform.footprint[:, 0].min() + platform.footprint[:, 0].max())
+        self._radius = self.peers.own.radius
         self._anchors = anchors
         if anchors is not None:  # else this hold never begins
             self.pose_hold.begins = anchors.until
@@ -348,10 +351,10 @@ class Sensors(InputAges):
 
 
 def _is_partial(spec: ScanSpec) -> bool:
-    """True if a lidar leaves out a sector in which a robot may be for long."""
+    """True if a lidar leaves out a sector in which a robot may be for long, or is short."""
     bearings = np.sort(spec.bearings[~spec.masked(spec.bearings)] % TURN)
     gaps = np.diff(bearings, append=bearings[:1] + TURN)
-    return bool(np.max(gaps, initial=0.0) > _WIDEST_GAP)
+    return bool(np.max(gaps, initial=0.0) > _WIDEST_GAP) or spec.range_max < _LEAST_RANGE
 
 
 class RangeRing:

@@ -89,7 +89,7 @@ class NamesPeers(Protocol):
         """The neighbors with what is not known of them otherwise."""
 
 
-MakeKin: TypeAlias = "Callable[[float, int, bool], NamesPeers]"
+MakeKin: TypeAlias = "Callable[[float, int, bool, float], NamesPeers]"
 """Makes what names peers; see `Kin`."""
 MakeSteering: TypeAlias = "Callable[[Platform, ProtectionView, str], Steers]"
 """Makes steering for a robot: its platform, a view of its protection, and a seed."""

@@ -179,6 +179,7 @@ def test_a_robot_tells_whether_its_lidar_leaves_out_directions() -> None:
     assert not _is_partial(changed(spec, mask=((-0.1, 0.1),)))
     assert _is_partial(changed(spec, mask=((-0.3, 0.3),)))
     assert _is_partial(changed(spec, bearings=np.radians(np.arange(-120.0, 121.0))))
+    assert _is_partial(changed(spec, range_max=1.5))
     story = Story()
     story.harness.advance(1.0)
     story.run(2.0, asks=True)

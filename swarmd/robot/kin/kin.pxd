@@ -16,7 +16,7 @@ cdef double _EMPTY, _UNSEEN, _DROPPED, _CONFIRMED, _SURE, _MARGIN, _UNSURE
 cdef Py_ssize_t _LEAST_NEWS
 cdef double _LOST, _LEAST_EXTENT, _FADE, _REACH, _FREE_REACH, _SEEN_MOST, _LONGEST, _AGREED
 cdef double _EARLIER, _STILL, _STILL_TIME, _OWN_WAY, _CLEARED, _ELSEWHERE
-cdef double _JUDGED, _PATH_FITS, _PATH_MAY_FIT, _CONTESTED, _SETTLED, _STRAYED, _TOLD_STRAYED
+cdef double _ROOM, _JUDGED, _PATH_FITS, _PATH_MAY_FIT, _CONTESTED, _SETTLED, _STRAYED, _TOLD_STRAYED
 cdef double _TOLD_TURNED, _ANCHORED, _STRAY_KEPT, _TURN_ERROR
 
 @cython.final
@@ -72,7 +72,7 @@ cdef class _Peer:
 
 @cython.final
 cdef class Kin:
-    cdef double _middle
+    cdef double _middle, _radius
     cdef bint _is_partial
     cdef long long _resets
     cdef double _shift, _x, _y, _yaw, _last_x, _last_y, _last_yaw
@@ -84,7 +84,10 @@ cdef class Kin:
     cdef bint _has_told
     cdef object _doubted, _straying
     cdef Py_ssize_t _fitting
-    def __init__(self, double middle=*, long long resets=*, bint is_partial=*)
+    def __init__(
+        self, double middle=*, long long resets=*, bint is_partial=*,
+        double radius=*
+    )
 
     @cython.locals(taken=cython.int)
     def on_odometry(self, odometry, double now)
@@ -99,7 +102,11 @@ cdef class Kin:
         bearings=cython.const_double[::1], i=cython.Py_ssize_t, sector=cython.Py_ssize_t,
         least=cython.double, most=cython.double, distance_of_ray=cython.double, ray=cython.double
     )
+    cdef int _find_free(self)
     cdef bint _is_free(self, double bearing, double distance)
+
+    @cython.locals(free=cython.double[::1], least=cython.double, i=cython.Py_ssize_t)
+    cdef bint _has_room(self)
 
     @cython.locals(
         moved=cython.double, period=cython.double, points=cython.double[::1], i=cython.Py_ssize_t,

@@ -137,6 +137,9 @@ _OWN_WAY = 0.3  # m
 _CLEARED = 0.25  # m: a peer that moved so far is no standing track
 _ELSEWHERE = 0.5  # m
 # Doubts of peers.
+# m around the own robot, within which it is one object with another for a lidar 1.8 m away: the
+# widest gap in a cluster of `Tracker` there
+_ROOM = 0.15
 _JUDGED = 0.95  # s between two judgements
 _PATH_FITS = 0.06  # m that remain between the path of a peer and that of its track
 _PATH_MAY_FIT = 0.12  # m that remain of every other track
@@ -359,6 +362,7 @@ class Kin:
 
     _middle: float
     _is_partial: bool
+    _radius: float
     _resets: int
     _trail: OdometryTrail
     _shift: float  # s, of the odometry's clock less the robot's
@@ -391,14 +395,18 @@ class Kin:
     _straying: tuple[str, ...]
     _fitting: int
 
-    def __init__(self, middle: float = 0.0, resets: int = 0, is_partial: bool = False) -> None:
+    def __init__(
+        self, middle: float = 0.0, resets: int = 0, is_partial: bool = False, radius: float = 0.0
+    ) -> None:
         """`middle`: m by which the middle of what others see lies ahead of the axle.
 
         `resets`: the first number that marks the frame of the odometry; another one in each life.
-        `is_partial`: the lidar leaves out directions.
+        `is_partial`: the lidar leaves out directions. `radius`: m, of a circle around the axle that
+        contains the robot.
         """
         self._middle = middle
         self._is_partial = is_partial
+        self._radius = radius
         self._resets = resets
         self._trail = OdometryTrail()
         self._tracks = []
@@ -469,6 +477,21 @@ class Kin:
 
         `distance`: at most _LONGEST m.
         """
+        self._find_free()
+        return self._free[_sector_of(bearing)] > distance
+
+    def _has_room(self) -> bool:
+        """True if no return is so near that lidars may see both as one wide object."""
+        self._find_free()
+        free = self._free
+        least = self._radius + _ROOM
+        for i in range(_SECTORS):  # noqa: SIM110  # Cython makes no loop of C of a generator
+            if 0.0 < free[i] < least:
+                return False
+        return True
+
+    def _find_free(self) -> None:
+        """Find how far the rays of the last scan are free, once for each scan."""
         free = self._free
         if self._scan is not None:
             ranges: Doubles = view(self._scan.ranges)
@@ -492,7 +515,6 @@ class Kin:
                 if not distance_of_ray >= free[sector]:
                     # Nothing is known of the direction of a ray without a number.
                     free[sector] = 0.0 if isnan(distance_of_ray) else distance_of_ray
-        return free[_sector_of(bearing)] > distance
 
     def next_message(self, now: float, asks: bool, stands: bool) -> KinMessage | None:
         """The message of this robot, after `observe`; None if it is not due yet.
@@ -836,6 +858,8 @@ class Kin:
         if found is not peer.track and peer.time - found.contested_at < _CONTESTED:
             return
         fit.fit(found.id, peer.told_yaw)
+        if not self._has_room():  # another lidar need not see this robot by itself
+            return
         fit.look(self._x, self._y, self._objects, told_count, peer.time)
 
     def _is_taken(self, track: _Track) -> bool:

@@ -15,6 +15,7 @@ from msgspec.structs import replace
 from swarmd.core.kin_message import KinMessage
 from swarmd.core.messages import DOUBTED, MISFIT, STRAYS
 from swarmd.core.values import Scan
+from swarmd.robot.kin.kin import Kin
 from swarmd.sim.lockstep.lockstep import Lockstep
 from swarmd.sim.scenarios.scenariofile import scenario_of
 from tests.robot.kin.test_kin import (
@@ -271,6 +272,18 @@ def test_a_lidar_that_looks_over_a_robot_fits(is_known: bool) -> None:
     world.run(ENOUGH)
     named = set(world.faults("a").items()) | set(world.faults("b").items())
     assert named == (set() if is_known else {("c", MISFIT)})  # the control
+
+
+@pytest.mark.parametrize(("near", "is_doubted"), [(0.3, False), (0.5, True), (math.nan, True)])
+def test_a_robot_beside_a_wall_need_not_be_told(near: float, is_doubted: bool) -> None:
+    """A wall at a gap of 0.1 m and the robot are one object for a lidar 1.8 m away."""
+    bearings = np.radians(np.arange(-180.0, 180.0))
+    ranges = np.where(np.abs(bearings) < 0.5, near, 3.4)
+    scan = Scan(0, 0.0, ranges, bearings, 0.1, 3.5)
+    world = World(relay=look_over_robots, scan=lambda world, id: scan)
+    world.kins = {id: Kin(radius=0.2) for id in world.kins}
+    world.run(ENOUGH)
+    assert ("c" in world.faults("a")) is ("c" in world.faults("b")) is is_doubted
 
 
 @pytest.mark.parametrize("moves", [True, False])
