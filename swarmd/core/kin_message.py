@@ -30,7 +30,7 @@ Names = Annotated[tuple[Name, ...], Meta(max_length=MOST_NAMES)]
 
 
 class KinMessage(Struct, frozen=True, array_like=True):
-    """A message of one robot, some 24 bytes and 4 for each object.
+    """A message of one robot, some 25 bytes and 4 for each object.
 
     - `resets`: marks the frame of the odometry; another number is another frame.
     - `stamp`: ms on the clock of the sender, at which all other values are valid.
@@ -38,10 +38,13 @@ class KinMessage(Struct, frozen=True, array_like=True):
     - `objects`: for each narrow object two big-endian numbers: the distance in mm (uint16) and the
       bearing in mrad (int16) of its middle, from the sender's middle and its direction ahead.
     - `asks`: the sender runs a pattern that needs the places of its peers.
-    - `stands`: the base of the sender has the command zero.
+    - `stood`: ms for which the base of the sender has had the command zero; 0: it has another. A
+      time, since a listener that misses messages would take two stands for one.
     - `doubted`: the robots that do not tell to see the sender where it is.
     - `straying`: the robots that move while they tell that they stand.
     - `fitting`: so many robots tell to see the sender where it is.
+    - `is_partial`: the lidar of the sender leaves out directions or is short, so that it need not
+      see a robot within 1.8 m.
     """
 
     resets: Annotated[int, Meta(ge=0, le=2**53)]
@@ -51,10 +54,11 @@ class KinMessage(Struct, frozen=True, array_like=True):
     yaw: Angle
     objects: Annotated[bytes, Meta(max_length=OBJECT.size * MOST_OBJECTS)] = b""
     asks: bool = False
-    stands: bool = False
+    stood: Annotated[int, Meta(ge=0, le=round(MAX_SECONDS / UNIT))] = 0
     doubted: Names = ()
     straying: Names = ()
     fitting: Annotated[int, Meta(ge=0, le=2**31)] = 0
+    is_partial: bool = False
 
 
 class KinOpinions(NamedTuple):

@@ -22,7 +22,8 @@ cdef class InputAges:
     cdef public bint _is_late
     cdef public double _stale_after, _max_delay
     cdef public object _ring, _places, _anchors, kin, _make_kin
-    cdef public double _middle, _kin_until
+    cdef public bint _is_partial
+    cdef public double _middle, _radius, _kin_until
     cdef public object _teller
     cdef public bint _is_new_scan
     cdef public object _history, _conditioner, _bad_odometry, inbox

@@ -108,6 +108,8 @@ class InputAges:
     _anchors: PoseAnchors | None
     kin: NamesPeers | None
     _make_kin: MakeKin | None
+    _is_partial: bool
+    _radius: float
     _middle: float  # see `Kin`
     # s, until which this robot or a peer needs places.
     _kin_until: float
@@ -189,7 +191,8 @@ class InputAges:
         """Name peers for some seconds from now on, if the platform can."""
         self._kin_until = now + _KIN_TIMEOUT
         if self.kin is None and self._make_kin is not None:
-            self.kin = self._make_kin(self._middle, round(1000.0 * now) % 2**16)
+            resets = round(1000.0 * now) % 2**16
+            self.kin = self._make_kin(self._middle, resets, self._is_partial, self._radius)
 
     def neighbors(self, now: float) -> tuple[Neighbor, ...]:
         """The neighbours; each age is exact to 0.5 s. Empty after 3 s without an update.

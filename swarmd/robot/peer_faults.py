@@ -46,6 +46,10 @@ class PeerFaults:
     def judge(self, opinions: KinOpinions, now: float) -> tuple[PeerFault, ...]:
         """Name the faults that follow from kin; returns as `take` does."""
         found = list(_verdicts(opinions))
+        if self._seen.age(now) > _KEPT:
+            # Nobody asked for places meanwhile, so nothing is known of this time.
+            self._seen.take((), now)
+            self._since = {}
         since = self._since
         self._since = {
             (one.robot, one.kind): since.get((one.robot, one.kind), now) for one in found

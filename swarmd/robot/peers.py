@@ -78,7 +78,7 @@ class Peers:
         self._is_off = platform.protection.get("mode") == "off"
         self._accepts = accepts
         self.own_pose = own_pose
-        self._is_missed = False  # a peer's lidar may miss this robot
+        self.missed_by: frozenset[str] = frozenset()  # peers whose lidar may miss this robot
         self._bodies: Mapping[str, Body | None] = {}
         self._findings: tuple[PeerFinding, ...] = ()
         self._radii: dict[str, float] = {}  # m, of the peers whose places are used
@@ -110,9 +110,11 @@ class Peers:
         self._findings = self._findings_of(bodies)
         may_be_unseen = {f.robot for f in self._findings if f.kind in ("unseen", "unknown")}
         self._use_places_of(may_be_unseen)
-        reported = [body for body in bodies.values() if body is not None]
+        reported = {robot: body for robot, body in bodies.items() if body is not None}
         # `sees` is None if a height is unknown: the peer may miss this robot.
-        self._is_missed = any(sees(body, self.own) is not True for body in reported)
+        self.missed_by = frozenset(
+            robot for robot, body in reported.items() if sees(body, self.own) is not True
+        )
         self._set_holds()
         return [finding for finding in self._findings if finding not in earlier_findings]
 
@@ -170,7 +172,7 @@ class Peers:
 
     def pose_to_tell(self, now: float) -> tuple[SharedPose, float] | None:
         """The own pose to send to peers, and its highest possible age in s; None: send nothing."""
-        return self.own_pose.to_tell(now) if self._is_missed or self._tells_pose else None
+        return self.own_pose.to_tell(now) if self.missed_by or self._tells_pose else None
 
     def on_place(self, place: PeerPlace, now: float) -> bool:
         """Take in the pose that a peer reports in a shared frame; True if the pose can be used.

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from msgspec.structs import astuple
 
+from swarmd.core.angles import TURN
 from swarmd.core.events import DetectionsInput, SensorInput, tag_of
 from swarmd.core.hazard import Hazard
 from swarmd.core.messages import Body, PeerFinding, Reason
@@ -58,6 +59,11 @@ if TYPE_CHECKING:
 
 SCAN_TIMES = 12  # scans over which the scan rate is measured
 
+_WIDEST_GAP = math.radians(20.0)
+"""rad between neighbouring rays, behind which a robot that moves is hidden at some looks alone."""
+_LEAST_RANGE = 2.0
+"""m, with which a lidar shows a robot within 1.8 m, up to which kin looks."""
+
 
 class Sensors(InputAges):
     """Scans, odometry, neighbours, readings, messages and state of the driver, with their ages.
@@ -96,8 +102,10 @@ class Sensors(InputAges):
         self.known_places = NeighborPlaces()
         self._places = self.known_places if PLACES_BY_POSE & platform.provides else None
         self._make_kin = make_kin if KIN in platform.provides else None
+        self._is_partial = self._make_kin is not None and _is_partial(platform.scan)
         # m from the axle ahead to the middle of what other lidars see.
         self._middle = 0.5 * float(platform.footprint[:, 0].min() + platform.footprint[:, 0].max())
+        self._radius = self.peers.own.radius
         self._anchors = anchors
         if anchors is not None:  # else this hold never begins
             self.pose_hold.begins = anchors.until
@@ -340,6 +348,13 @@ class Sensors(InputAges):
         if len(times) < 2 or now - times[-1] > 2.0 * self._stale_after:
             return 0.0
         return (len(times) - 1) / max(times[-1] - times[0], 1e-4)
+
+
+def _is_partial(spec: ScanSpec) -> bool:
+    """True if a lidar leaves out a sector in which a robot may be for long, or is short."""
+    bearings = np.sort(spec.bearings[~spec.masked(spec.bearings)] % TURN)
+    gaps = np.diff(bearings, append=bearings[:1] + TURN)
+    return bool(np.max(gaps, initial=0.0) > _WIDEST_GAP) or spec.range_max < _LEAST_RANGE
 
 
 class RangeRing:

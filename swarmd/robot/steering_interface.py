@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Set
 from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 from swarmd.core.kin_message import KinMessage, KinOpinions
@@ -73,8 +73,11 @@ class NamesPeers(Protocol):
     def next_message(self, now: float, asks: bool, stands: bool) -> KinMessage | None:
         """The message to peers that is due."""
 
-    def opinions(self, now: float) -> KinOpinions | None:
-        """What this robot and its peers tell of faults of peers; None: nothing is told."""
+    def opinions(self, missed_by: Set[str], now: float) -> KinOpinions | None:
+        """What this robot and its peers tell of faults of peers; None: nothing is told.
+
+        `missed_by`: the peers whose lidar may miss this robot.
+        """
 
     def on_message(self, id: str, message: KinMessage, now: float) -> None:
         """Take in the message of a peer."""
@@ -86,7 +89,7 @@ class NamesPeers(Protocol):
         """The neighbors with what is not known of them otherwise."""
 
 
-MakeKin: TypeAlias = "Callable[[float, int], NamesPeers]"
+MakeKin: TypeAlias = "Callable[[float, int, bool, float], NamesPeers]"
 """Makes what names peers; see `Kin`."""
 MakeSteering: TypeAlias = "Callable[[Platform, ProtectionView, str], Steers]"
 """Makes steering for a robot: its platform, a view of its protection, and a seed."""

@@ -412,7 +412,7 @@ class Ticker:
             return None
         tracks = steering.tracks(context) or ()
         kin.observe(tracks, scan, now)
-        opinions = kin.opinions(now)
+        opinions = kin.opinions(sensors.peers.missed_by, now)
         if opinions is not None:
             for fault in self._peer_faults.judge(opinions, now):
                 self._log.peers(fault.kind, fault.text, [fault.robot], now)

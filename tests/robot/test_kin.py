@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import struct
 from dataclasses import dataclass, field
+from dataclasses import replace as changed
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from swarmd.core.events import (
     Input,
     KinInput,
     NeighborsInput,
+    PeersInput,
     PlaceInput,
     PoseInput,
     decode_input,
@@ -25,7 +27,10 @@ from swarmd.kit.behavior import Pattern
 from swarmd.kit.params import Params
 from swarmd.robot import memory
 from swarmd.robot.actions import Actions
+from swarmd.robot.protection.compatibility import body_of
 from swarmd.robot.robot import Robot
+from swarmd.robot.sensors import _is_partial
+from swarmd.settings.platforms import load_platform
 from swarmd.testing.scans import Disc, scan_of
 from tests.support.robot_harness import RobotHarness
 
@@ -57,6 +62,7 @@ class Story:
     """
 
     platform: str = "waffle_pi"
+    is_seen: bool = True  # the peer tells to see the robot
     told: list[tuple[float, KinMessage]] = field(default_factory=list)
     inputs: list[tuple[float, bytes]] = field(default_factory=list)
 
@@ -105,6 +111,8 @@ class Story:
             oy = own.y - 0.0555 * math.sin(own.yaw) - y
             bearing = math.remainder(math.atan2(oy, ox) - yaw, math.tau)
             objects = struct.pack(">Hh", round(1000 * math.hypot(ox, oy)), round(1000 * bearing))
+            if not self.is_seen:
+                objects = b""
             turn = round(1000 * math.remainder(yaw, math.tau))
             stamp = round(1000 * harness.now) - 900_000
             told = KinMessage(1, stamp, round(1000 * x), round(1000 * y), turn, objects, asks)
@@ -150,6 +158,32 @@ def test_a_pattern_that_needs_places_gets_them_of_the_peer_that_is_named() -> No
     assert tracks is not None
     near = {name for name in (track.name for track in tracks.tracks) if name is not None}
     assert near == {"b", ""}  # the pillar is no robot
+
+
+@pytest.mark.parametrize(("scan_plane", "faults"), [(0.131, [("b", "doubted")]), (0.3, [])])
+def test_a_peer_whose_lidar_looks_over_a_robot_is_not_doubted(
+    scan_plane: float, faults: list[tuple[str, str]]
+) -> None:
+    """The top of a Waffle Pi is at 0.141 m."""
+    story = Story(is_seen=False)
+    body = replace(body_of(story.harness.platform), scan_plane=scan_plane)
+    story.harness.advance(1.0)
+    story.harness.step(PeersInput({"b": body}))
+    story.run(60.0, asks=True)
+    assert [(one.robot, one.kind) for one in story.harness.status.peer_faults] == faults
+
+
+def test_a_robot_tells_whether_its_lidar_leaves_out_directions() -> None:
+    spec = load_platform("waffle_pi").scan
+    assert not _is_partial(spec)
+    assert not _is_partial(changed(spec, mask=((-0.1, 0.1),)))
+    assert _is_partial(changed(spec, mask=((-0.3, 0.3),)))
+    assert _is_partial(changed(spec, bearings=np.radians(np.arange(-120.0, 121.0))))
+    assert _is_partial(changed(spec, range_max=1.5))
+    story = Story()
+    story.harness.advance(1.0)
+    story.run(2.0, asks=True)
+    assert [told.is_partial for _, told in story.told] == [False] * len(story.told) != []
 
 
 def test_a_robot_tells_while_a_peer_asks_and_for_five_seconds_after() -> None:

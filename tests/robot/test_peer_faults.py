@@ -139,6 +139,14 @@ def test_a_fault_by_sights_says_who_tells_it_by_what_figure_and_since_when() -> 
     assert faults.at(17.0) == ()  # nobody asks for places any more
 
 
+def test_a_fault_that_nobody_looked_for_meanwhile_is_new() -> None:
+    faults = PeerFaults()
+    given = opinions(("x",), fitting=("b",), b=told(("x",), fitting=1))
+    assert faults.judge(given, 10.0) != ()
+    (again,) = faults.judge(given, 600.0)  # no pattern used kin for ten minutes
+    assert (again.robot, again.since) == ("x", 0.0)
+
+
 def test_faults_by_messages_and_by_sights_stand_side_by_side() -> None:
     faults = PeerFaults()
     faults.take((MUTE,), 10.0)

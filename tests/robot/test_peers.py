@@ -189,6 +189,14 @@ def test_the_distance_of_told_places_follows_from_the_speeds() -> None:
     assert seen[0] < 3.0 < seen[1] < seen[2] - 2.0
 
 
+def test_which_peers_may_miss_a_robot() -> None:
+    """By the heights of the platforms: a Burger's lidar is above a Waffle Pi, a Jackal's too."""
+    unknown = structs.replace(WAFFLE, scan_plane=None)
+    bodies = {"b": BURGER, "j": JACKAL, "w": WAFFLE, "u": unknown, "n": None}
+    assert peers("waffle_pi", bodies).missed_by == {"b", "j", "u"}
+    assert peers("burger", bodies).missed_by == {"j", "u"}
+
+
 def test_no_place_is_told_in_a_mode_that_uses_none() -> None:
     robot = peers_of(with_mode(load_platform("jackal"), "stop_zone"))
     robot.on_peers({"b": BURGER})

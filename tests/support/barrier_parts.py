@@ -42,6 +42,12 @@ def closing_cap(room: float, braking: float, others_speed: float, unseen: float)
     return cap
 
 
+def wall_cap(room: float, braking: float, error_speed: float, unseen: float) -> float:
+    """The cap in m/s for a wall that stands."""
+    cap: float = part("closing_speed").wall_cap(room, braking, unseen, error_speed)
+    return cap
+
+
 def reciprocal_cap(room: float, braking: float, unseen: float) -> float:
     """The cap in m/s towards robots with the same rule."""
     cap: float = part("closing_speed").reciprocal_cap(room, braking, unseen)

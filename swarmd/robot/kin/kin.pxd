@@ -16,8 +16,8 @@ cdef double _EMPTY, _UNSEEN, _DROPPED, _CONFIRMED, _SURE, _MARGIN, _UNSURE
 cdef Py_ssize_t _LEAST_NEWS
 cdef double _LOST, _LEAST_EXTENT, _FADE, _REACH, _FREE_REACH, _SEEN_MOST, _LONGEST, _AGREED
 cdef double _EARLIER, _STILL, _STILL_TIME, _OWN_WAY, _CLEARED, _ELSEWHERE
-cdef double _JUDGED, _PATH_FITS, _PATH_MAY_FIT, _CONTESTED, _SETTLED, _STRAYED, _TOLD_STRAYED
-cdef double _TOLD_TURNED, _ANCHORED
+cdef double _ROOM, _JUDGED, _PATH_FITS, _PATH_MAY_FIT, _CONTESTED, _SETTLED, _STRAYED, _TOLD_STRAYED
+cdef double _TOLD_TURNED, _ANCHORED, _STRAY_KEPT, _TURN_ERROR
 
 @cython.final
 cdef class _Track:
@@ -51,10 +51,12 @@ cdef class _Peer:
     cdef double since
     cdef Py_ssize_t row
     cdef bint is_plain, in_reach
-    cdef double stands_since, stood_at, stood_x, stood_y, stood_yaw, track_x, track_y, strayed
-    cdef bint has_stood, has_strayed
+    cdef double stands_since, stood_at, stood_x, stood_y, stood_yaw, track_x, track_y
+    cdef double own_turned, strayed_at, strayed
+    cdef bint has_stood
     cdef object message
     cdef int forget_stand(self)
+    cdef int stray(self, double way)
     cdef int forget_doubts(self)
     cdef confirmed(self, double now)
 
@@ -70,17 +72,22 @@ cdef class _Peer:
 
 @cython.final
 cdef class Kin:
-    cdef double _middle
+    cdef double _middle, _radius
+    cdef bint _is_partial
     cdef long long _resets
-    cdef double _shift, _x, _y, _yaw, _last_x, _last_y, _way, _seen_at
+    cdef double _shift, _x, _y, _yaw, _last_x, _last_y, _last_yaw
+    cdef double _way, _turned, _seen_at
     cdef double[::1] _free
     cdef double _forgot_at, _told_at, _told_x, _told_y, _told_yaw
     cdef double[::1] _places, _objects
-    cdef double _judged_at
+    cdef double _stands_since, _judged_at
     cdef bint _has_told
     cdef object _doubted, _straying
     cdef Py_ssize_t _fitting
-    def __init__(self, double middle=*, long long resets=*)
+    def __init__(
+        self, double middle=*, long long resets=*, bint is_partial=*,
+        double radius=*
+    )
 
     @cython.locals(taken=cython.int)
     def on_odometry(self, odometry, double now)
@@ -95,7 +102,11 @@ cdef class Kin:
         bearings=cython.const_double[::1], i=cython.Py_ssize_t, sector=cython.Py_ssize_t,
         least=cython.double, most=cython.double, distance_of_ray=cython.double, ray=cython.double
     )
+    cdef int _find_free(self)
     cdef bint _is_free(self, double bearing, double distance)
+
+    @cython.locals(free=cython.double[::1], least=cython.double, i=cython.Py_ssize_t)
+    cdef bint _has_room(self)
 
     @cython.locals(
         moved=cython.double, period=cython.double, points=cython.double[::1], i=cython.Py_ssize_t,
@@ -107,8 +118,8 @@ cdef class Kin:
 
     @cython.locals(
         period=cython.double, stamp_ms=cython.longlong, x_mm=cython.longlong, y_mm=cython.longlong,
-        yaw_mrad=cython.longlong, stamp=cython.double, x=cython.double, y=cython.double,
-        yaw=cython.double, gap=cython.double, time=cython.double, dx=cython.double,
+        yaw_mrad=cython.longlong, stood_ms=cython.longlong, stamp=cython.double, x=cython.double,
+        y=cython.double, yaw=cython.double, gap=cython.double, time=cython.double, dx=cython.double,
         dy=cython.double, turn=cython.double, c=cython.double, s=cython.double,
         ahead=cython.double, left=cython.double
     )
@@ -140,7 +151,7 @@ cdef class Kin:
         bearing_mrad=cython.longlong, distance=cython.double, bearing=cython.double,
         to_own=cython.double, yaw=cython.double
     )
-    cdef int _compare(self, packed, _Peer peer, double gap)
+    cdef int _compare(self, packed, _Peer peer, double gap, bint is_partial)
 
     @cython.locals(least=cython.double, second=cython.double, rest=cython.double)
     cdef int _look(self, _Peer peer, Py_ssize_t told_count)
@@ -150,12 +161,13 @@ cdef class Kin:
 
     @cython.locals(
         time=cython.double, told=cython.double, turned=cython.double, seen=cython.double,
-        dx=cython.double, dy=cython.double, distance=cython.double
+        most=cython.double, dx=cython.double, dy=cython.double, distance=cython.double
     )
-    cdef int _watch_stand(self, _Peer peer)
+    cdef int _watch_stand(self, _Peer peer, double since, double stood)
+    cdef int _drop_moved(self, _Peer peer)
 
     @cython.locals(opinion=cython.Py_ssize_t)
-    def opinions(self, double now)
+    def opinions(self, missed_by, double now)
 
     @cython.locals(
         dx=cython.double, dy=cython.double, distance=cython.double, is_news=cython.bint,

@@ -63,7 +63,7 @@ from swarmd.robot.kin.hypothesis import POINT, Hypothesis, begun, length
 from swarmd.robot.kin.sight_fit import FITS, MISFITS, SightFit
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Set
     from typing import Any
 
     from swarmd.core.values import Odometry, Scan
@@ -137,6 +137,9 @@ _OWN_WAY = 0.3  # m
 _CLEARED = 0.25  # m: a peer that moved so far is no standing track
 _ELSEWHERE = 0.5  # m
 # Doubts of peers.
+# m around the own robot, within which it is one object with another for a lidar 1.8 m away: the
+# widest gap in a cluster of `Tracker` there
+_ROOM = 0.15
 _JUDGED = 0.95  # s between two judgements
 _PATH_FITS = 0.06  # m that remain between the path of a peer and that of its track
 _PATH_MAY_FIT = 0.12  # m that remain of every other track
@@ -144,6 +147,9 @@ _CONTESTED = 5.0  # s for which a track counts for no peer after the paths of tw
 _SETTLED = 1.5  # s with the command zero after which a base stands
 _ANCHORED = 5.0  # s for which the place of a base that stands is compared
 _STRAYED = 0.3  # m that a track moves from where its peer stands
+# by which the own odometry may err in a turn: 0.05 in `realism: realistic`, with a fast turn
+_TURN_ERROR = 0.1
+_STRAY_KEPT = 30.0  # s after such a motion for which the peer strays
 _TOLD_STRAYED = 0.2  # m by the told odometry
 _TOLD_TURNED = 0.5  # rad by it
 
@@ -262,9 +268,10 @@ class _Peer:
     is_plain: bool  # without a place of its own: distance, bearing and heading are None
     in_reach: bool  # of `known`
     fit: SightFit | None  # None until the peer moves
-    # While it tells that its base has the command zero: since when, the track that showed it then,
-    # the told pose and the place of this track once it has settled, and `strayed`, m that it moved.
-    stands_since: float
+    # While it tells that its base has the command zero: since when on its clock, the track that
+    # showed it then, the told pose and the place of this track once it has settled, and `strayed`,
+    # m that it moved, last at `strayed_at`.
+    stands_since: float  # ms
     stood_at: float  # s
     stood_x: float
     stood_y: float
@@ -273,7 +280,8 @@ class _Peer:
     stood_track: _Track | None
     track_x: float
     track_y: float
-    has_strayed: bool
+    own_turned: float  # rad that the own robot had turned then
+    strayed_at: float
     strayed: float
     message: KinMessage | None  # the last one, if it tells of others
 
@@ -288,14 +296,20 @@ class _Peer:
         self.compared_at = -INFINITY
         self.delay = INFINITY
         self.stands_since = INFINITY
+        self.strayed_at = -INFINITY
 
     def forget_stand(self) -> None:
         """Forget where the peer stood."""
         self.stands_since = INFINITY
         self.has_stood = False
         self.stood_track = None
-        self.has_strayed = False
+        self.strayed_at = -INFINITY
         self.strayed = 0.0
+
+    def stray(self, way: float) -> None:
+        """Note that it has moved by `way` m while it stood."""
+        self.strayed = max(self.strayed, way)
+        self.strayed_at = self.time
 
     def forget_doubts(self) -> None:
         """Forget all that depends on the frame of an odometry."""
@@ -347,6 +361,8 @@ class Kin:
     """Names the tracks of one robot. `_x`, `_y`, `_yaw`: the pose that `_set_own` has set."""
 
     _middle: float
+    _is_partial: bool
+    _radius: float
     _resets: int
     _trail: OdometryTrail
     _shift: float  # s, of the odometry's clock less the robot's
@@ -355,7 +371,9 @@ class Kin:
     _yaw: float
     _last_x: float  # the own middle at the last scan
     _last_y: float
+    _last_yaw: float
     _way: float  # m that it has travelled
+    _turned: float  # rad that it has turned, to either side
     _tracks: list[_Track]
     _scan: Scan | None  # the last scan if `_free` is not made of it yet
     _seen_at: float  # s, of the last scan
@@ -370,18 +388,25 @@ class Kin:
     # Points: of tracks at the time of a message, and of the objects in it, seen from the peer.
     _places: Doubles
     _objects: Doubles
+    _stands_since: float  # s, of the own base
     _judged_at: float  # s, of the last `opinions`
     _has_told: bool  # they were not None
     _doubted: tuple[str, ...]  # as of then, for the own messages
     _straying: tuple[str, ...]
     _fitting: int
 
-    def __init__(self, middle: float = 0.0, resets: int = 0) -> None:
+    def __init__(
+        self, middle: float = 0.0, resets: int = 0, is_partial: bool = False, radius: float = 0.0
+    ) -> None:
         """`middle`: m by which the middle of what others see lies ahead of the axle.
 
         `resets`: the first number that marks the frame of the odometry; another one in each life.
+        `is_partial`: the lidar leaves out directions. `radius`: m, of a circle around the axle that
+        contains the robot.
         """
         self._middle = middle
+        self._is_partial = is_partial
+        self._radius = radius
         self._resets = resets
         self._trail = OdometryTrail()
         self._tracks = []
@@ -392,6 +417,7 @@ class Kin:
         self._free = doubles(_SECTORS)
         self._places = doubles(POINT * _MOST_TRACKS)
         self._objects = doubles(POINT * _most_objects)
+        self._stands_since = INFINITY
         self._judged_at = -INFINITY
         self._doubted = ()
         self._straying = ()
@@ -419,8 +445,10 @@ class Kin:
             return
         self._set_own(now)
         self._way += length(self._x - self._last_x, self._y - self._last_y)
+        self._turned += angle_between(self._yaw, self._last_yaw)
         self._last_x = self._x
         self._last_y = self._y
+        self._last_yaw = self._yaw
         c = cos(self._yaw)
         s = sin(self._yaw)
         known = self._tracks
@@ -449,6 +477,21 @@ class Kin:
 
         `distance`: at most _LONGEST m.
         """
+        self._find_free()
+        return self._free[_sector_of(bearing)] > distance
+
+    def _has_room(self) -> bool:
+        """True if no return is so near that lidars may see both as one wide object."""
+        self._find_free()
+        free = self._free
+        least = self._radius + _ROOM
+        for i in range(_SECTORS):  # noqa: SIM110  # Cython makes no loop of C of a generator
+            if 0.0 < free[i] < least:
+                return False
+        return True
+
+    def _find_free(self) -> None:
+        """Find how far the rays of the last scan are free, once for each scan."""
         free = self._free
         if self._scan is not None:
             ranges: Doubles = view(self._scan.ranges)
@@ -472,7 +515,6 @@ class Kin:
                 if not distance_of_ray >= free[sector]:
                     # Nothing is known of the direction of a ray without a number.
                     free[sector] = 0.0 if isnan(distance_of_ray) else distance_of_ray
-        return free[_sector_of(bearing)] > distance
 
     def next_message(self, now: float, asks: bool, stands: bool) -> KinMessage | None:
         """The message of this robot, after `observe`; None if it is not due yet.
@@ -480,6 +522,10 @@ class Kin:
         `asks`: this robot runs a pattern that needs the places of its peers. `stands`: its base has
         the command zero.
         """
+        if not stands:
+            self._stands_since = INFINITY
+        elif self._stands_since == INFINITY:
+            self._stands_since = now
         if self._trail.count == 0:
             return None
         self._set_own(now)
@@ -528,10 +574,11 @@ class Kin:
             _units(wrap(self._yaw)),
             bytes(objects),
             asks != 0,
-            stands != 0,
+            _units(now) - _units(self._stands_since) if stands else 0,
             self._doubted,
             self._straying,
             self._fitting,
+            self._is_partial != 0,
         )
 
     def on_message(self, id: str, message: KinMessage, now: float) -> None:
@@ -555,11 +602,13 @@ class Kin:
         # All fields in one call, which takes as long as two of them each by itself. Integers of
         # Python become doubles six times faster by way of integers of C.
         fields = astuple(message)
-        resets, told_stamp, told_x, told_y, told_yaw, told_objects, _, stands, *doubts = fields
+        resets, told_stamp, told_x, told_y, told_yaw, told_objects, _, told_stood, *others = fields
+        *doubts, partial = others
         stamp_ms = told_stamp
         x_mm = told_x
         y_mm = told_y
         yaw_mrad = told_yaw
+        stood_ms = told_stood
         stamp = stamp_ms * _unit
         x = x_mm * _unit
         y = y_mm * _unit
@@ -602,11 +651,11 @@ class Kin:
         peer.follow()
         gap = time - peer.compared_at
         if gap >= period - _EARLY:
-            self._compare(told_objects, peer, min(gap, _MOST_GAP))
+            self._compare(told_objects, peer, min(gap, _MOST_GAP), partial)
             peer.compared_at = time
         peer.message = message if any(doubts) else None
-        if stands:
-            self._watch_stand(peer)
+        if stood_ms > 0:
+            self._watch_stand(peer, stamp_ms - stood_ms, stood_ms * _unit)
         else:
             peer.forget_stand()
 
@@ -720,10 +769,10 @@ class Kin:
             one.move(ahead, left, turn)
             one.drift(own_way, own_turn, length(one.x - self._x, one.y - self._y))
 
-    def _compare(self, packed: bytes, peer: _Peer, gap: float) -> None:
+    def _compare(self, packed: bytes, peer: _Peer, gap: float, is_partial: bool) -> None:
         """Compare the poses of a peer with the tracks, and with what it tells; begin new poses.
 
-        `packed`: the objects of the message.
+        `packed`: the objects of the message. `is_partial`: as in it.
         """
         places = self._places
         objects = self._objects
@@ -768,7 +817,8 @@ class Kin:
                     self._begin(peer, places[i], places[i + 1], yaw, max(places[i + 2], 0.3))
         self._rank(peer)
         self._agree(peer, gap, told_count)
-        if told_count < _most_objects:  # of more objects the own robot may be none
+        # Of more objects, or of a lidar that leaves out directions, the own robot may be none.
+        if told_count < _most_objects and not is_partial:
             self._look(peer, told_count)
 
     def _look(self, peer: _Peer, told_count: int) -> None:
@@ -808,6 +858,8 @@ class Kin:
         if found is not peer.track and peer.time - found.contested_at < _CONTESTED:
             return
         fit.fit(found.id, peer.told_yaw)
+        if not self._has_room():  # another lidar need not see this robot by itself
+            return
         fit.look(self._x, self._y, self._objects, told_count, peer.time)
 
     def _is_taken(self, track: _Track) -> bool:
@@ -818,23 +870,30 @@ class Kin:
             is_taken = is_taken or peer.track is track
         return is_taken
 
-    def _watch_stand(self, peer: _Peer) -> None:
-        """Find out whether a peer moves while its base has the command zero, after a message."""
+    def _watch_stand(self, peer: _Peer, since: float, stood: float) -> None:
+        """Find out whether a peer moves while its base has the command zero, after a message.
+
+        `since`: ms on the clock of the peer. `stood`: s.
+        """
         time = peer.time
-        if peer.stands_since == INFINITY:
-            peer.stands_since = time
+        if since != peer.stands_since:
+            peer.forget_stand()
+            peer.stands_since = since
             peer.stood_track = peer.track  # its pose may be lost as it moves
-        if time - peer.stands_since < _SETTLED:
+        if stood < _SETTLED:
             return
         if not peer.has_stood or time - peer.stood_at > _ANCHORED:
             # What stands drifts away in the frame of the own odometry, so it is compared anew.
-            peer.has_stood = True
             peer.stood_at = time
             if peer.track is not None:
                 peer.stood_track = peer.track
+            elif peer.has_stood:
+                self._drop_moved(peer)
+            peer.has_stood = True
             peer.stood_x = peer.told_x
             peer.stood_y = peer.told_y
             peer.stood_yaw = peer.told_yaw
+            peer.own_turned = self._turned
             if peer.stood_track is not None:
                 peer.track_x, peer.track_y, is_there = peer.stood_track.place_at(time)
                 if not is_there:
@@ -843,8 +902,7 @@ class Kin:
         told = length(peer.told_x - peer.stood_x, peer.told_y - peer.stood_y)
         turned = angle_between(peer.told_yaw, peer.stood_yaw)
         if told > _TOLD_STRAYED or turned > _TOLD_TURNED:
-            peer.strayed = max(peer.strayed, told)
-            peer.has_strayed = True
+            peer.stray(told)
         track: _Track | None = peer.stood_track
         if track is None:
             return
@@ -853,18 +911,30 @@ class Kin:
         dx = peer.track_x - self._x
         dy = peer.track_y - self._y
         distance = length(dx, dy)
+        # The own odometry errs in turns, which moves what is far away.
+        most = _STRAYED + _TURN_ERROR * (self._turned - peer.own_turned) * distance
         # A track may pass from a robot that stands to one that drives by: then the place shows it.
         if (
             is_there
-            and seen > _STRAYED
+            and seen > most
             and distance < _FREE_REACH
             and self._is_free(atan2(dy, dx) - self._yaw, distance + _SEEN_MOST)
         ):
-            peer.strayed = max(peer.strayed, seen)
-            peer.has_strayed = True
+            peer.stray(seen)
 
-    def opinions(self, now: float) -> KinOpinions | None:
-        """What this robot and its peers tell of others; None: it is no time, or nothing is told."""
+    def _drop_moved(self, peer: _Peer) -> None:
+        """Forget the track of a peer that stands if it may have passed to another robot."""
+        track: _Track | None = peer.stood_track
+        if track is not None:
+            x, y, is_there = track.place_at(peer.time)
+            if not is_there or length(x - peer.track_x, y - peer.track_y) > _STILL:
+                peer.stood_track = None
+
+    def opinions(self, missed_by: Set[str], now: float) -> KinOpinions | None:
+        """What this robot and its peers tell of others; None: it is no time, or nothing is told.
+
+        `missed_by`: the peers whose lidar may miss this robot, which need not tell it.
+        """
         if now - self._judged_at < _JUDGED:
             return None
         self._judged_at = now
@@ -880,9 +950,9 @@ class Kin:
             if peer.message is not None:
                 told[peer.id] = peer.message
                 is_told = is_told or bool(peer.message.doubted) or bool(peer.message.straying)
-            if peer.has_strayed:
+            if now - peer.strayed_at <= _STRAY_KEPT:
                 straying[peer.id] = f"moved by {peer.strayed:.2f} m"
-            if peer.fit is None:
+            if peer.fit is None or peer.id in missed_by:
                 continue
             fit: SightFit = peer.fit
             opinion = fit.opinion(now)

@@ -57,7 +57,7 @@ def wall_cap(room: float, braking: float, unseen: float, error_speed: float) -> 
     if cap > WALL_SPEED:
         return cap
     cap = closing_cap(room, braking, unseen, error_speed)
-    return cap if cap < WALL_SPEED else WALL_SPEED
+    return WALL_SPEED if cap > WALL_SPEED else cap  # NaN stays NaN
 
 
 def reciprocal_cap(room: float, braking: float, unseen: float) -> float:

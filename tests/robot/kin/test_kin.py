@@ -89,6 +89,9 @@ class World:
     hidden: frozenset[str] = frozenset()  # robots of which nobody sees a track
     scan: Callable[[World, str], Scan] = lambda world, id: FREE
     lenses: dict[str, Lens] = field(default_factory=dict)  # of a lidar: what it makes of a place
+    # The peers whose lidar may miss a robot, and the robots whose lidar leaves out directions.
+    missed_by: dict[str, frozenset[str]] = field(default_factory=dict)
+    partial: frozenset[str] = frozenset()
     standing: frozenset[str] = frozenset()  # robots whose base has the command zero
     odometers: dict[str, Path] = field(default_factory=dict)  # what is not the true pose
     time: float = 0.0
@@ -96,7 +99,7 @@ class World:
     def __post_init__(self) -> None:
         self.rng = random.Random(4)
         self.frames = {id: (k - 1.0, 0.5 * k, 0.7 * k) for k, id in enumerate(self.paths)}
-        self.kins = {id: Kin() for id in self.paths}
+        self.kins = {id: Kin(is_partial=id in self.partial) for id in self.paths}
         self.peer_faults = {id: PeerFaults() for id in self.paths}
         self.bodies: list[str | tuple[float, float]] = [*self.paths, *PILLARS]
 
@@ -126,7 +129,7 @@ class World:
                             x, y = self.lenses[id](x, y)
                         tracks.append(Seen(index, x, y))
                 kin.observe(tracks, self.scan(self, id), self.now(id))
-                opinions = kin.opinions(self.now(id))
+                opinions = kin.opinions(self.missed_by.get(id, frozenset()), self.now(id))
                 if opinions is not None:
                     self.peer_faults[id].judge(opinions, self.now(id))
             for id, kin in self.kins.items():

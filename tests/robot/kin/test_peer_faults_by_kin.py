@@ -8,14 +8,26 @@ import struct
 from collections.abc import Iterable
 from typing import Any
 
+import numpy as np
 import pytest
 from msgspec.structs import replace
 
 from swarmd.core.kin_message import KinMessage
 from swarmd.core.messages import DOUBTED, MISFIT, STRAYS
+from swarmd.core.values import Scan
+from swarmd.robot.kin.kin import Kin
 from swarmd.sim.lockstep.lockstep import Lockstep
 from swarmd.sim.scenarios.scenariofile import scenario_of
-from tests.robot.kin.test_kin import WALKERS, Lens, Path, Relay, World, circle, stood
+from tests.robot.kin.test_kin import (
+    WALKERS,
+    Lens,
+    Path,
+    Relay,
+    World,
+    circle,
+    seen_from,
+    stood,
+)
 
 ENOUGH = 150.0  # s, of three robots that see each other nearly all the time
 
@@ -132,6 +144,146 @@ def test_a_robot_that_moves_while_it_tells_that_it_stands_strays(is_told: bool) 
     world.standing = frozenset()
     world.run(3.0)
     assert STRAYS not in {*world.faults("a").values(), *world.faults("b").values()}
+
+
+def test_a_robot_that_strayed_once_is_named_for_half_a_minute() -> None:
+    """It is pushed by 0.4 m in 2 s, and stands on."""
+    path = WALKERS["c"]
+    moved = {"from": math.inf}
+
+    def pushed(time: float) -> tuple[float, float, float]:
+        x, y, yaw = path(min(time, 30.0))
+        return x + 0.2 * min(max(time - moved["from"], 0.0), 2.0), y, yaw
+
+    world = World({**WALKERS, "c": pushed})
+    world.run(30.0)
+    world.standing = frozenset("c")
+    world.run(10.0)
+    assert world.faults("a") == {}
+    moved["from"] = world.time
+    world.run(5.0)
+    assert world.faults("a") == {"c": STRAYS}
+    world.run(40.0)
+    assert [world.faults(id) for id in "abc"] == [{}, {}, {}]
+
+
+@pytest.mark.parametrize("is_told", [False, True])
+def test_a_robot_that_stands_before_and_after_messages_that_are_lost_does_not_stray(
+    is_told: bool,
+) -> None:
+    """It stands for 4 s, turns by 1 rad in 1 s, and so on; nobody hears it while it turns."""
+    x, y, yaw = WALKERS["c"](0.0)
+
+    def turns(time: float) -> tuple[float, float, float]:
+        whole, rest = divmod(time, 5.0)
+        return x, y, yaw + whole + max(rest - 4.0, 0.0)
+
+    def is_turning(time: float) -> bool:
+        return time % 5.0 >= 4.0 - 1e-6
+
+    def relay(id: str, told: KinMessage, time: float) -> Iterable[tuple[str, KinMessage]]:
+        if id != "c" or not is_turning(time) or is_told:
+            yield id, told
+
+    world = World({**WALKERS, "c": turns}, relay=relay)
+    for _ in range(round(ENOUGH / 0.2)):
+        world.standing = frozenset() if is_turning(world.time + 0.2) else frozenset("c")
+        world.run(0.2)
+        assert [world.faults(id) for id in "abc"] == [{}, {}, {}]
+
+
+def test_a_robot_whose_track_passes_to_one_that_drives_by_does_not_stray() -> None:
+    """Robot c stands, as rays show. Its track follows a body that drives off after 35.5 s."""
+    x, y, yaw = WALKERS["c"](30.0)
+    bearings = np.radians(np.arange(-180.0, 180.0))
+
+    def track(time: float) -> tuple[float, float, float]:
+        if time < 30.0:
+            return WALKERS["c"](time)
+        return x - 0.25 * max(time - 35.5, 0.0), y, yaw
+
+    def scan(world: World, id: str) -> Scan:
+        place = seen_from(world.paths[id](world.time), (x, y, 0.0))
+        off = np.remainder(bearings - math.atan2(place[1], place[0]) + math.pi, math.tau) - math.pi
+        near = np.abs(off) < math.radians(8.0)
+        return Scan(0, 0.0, np.where(near, 0.2, 3.4), bearings, 0.1, 3.5)
+
+    world = World({**WALKERS, "c": track}, scan=scan, odometers={"c": rests(WALKERS["c"], 30.0)})
+    world.run(30.0)
+    assert world.names("a")["c"] == world.names("b")["c"] == "c"
+    world.standing = frozenset("c")
+
+    def check() -> None:
+        assert [world.faults(id) for id in "ab"] == [{}, {}]
+
+    world.run(12.0, check)
+
+
+@pytest.mark.parametrize("share", [1.0, 1.04])
+def test_a_robot_that_turns_by_wrong_odometry_takes_nobody_to_stray(share: float) -> None:
+    """Robot a turns at 1.5 rad/s, of which its odometry makes some more; c stands."""
+
+    def turns(share: float) -> Path:
+        def pose(time: float) -> tuple[float, float, float]:
+            x, y, yaw = WALKERS["a"](min(time, 30.0))
+            return x, y, yaw + 1.5 * share * max(time - 30.0, 0.0)
+
+        return pose
+
+    world = World(
+        {**WALKERS, "a": turns(1.0), "c": stood(WALKERS["c"], 30.0, math.inf)},
+        odometers={"a": turns(share)},
+    )
+    world.run(30.0)
+    world.standing = frozenset("c")
+
+    def check() -> None:
+        assert STRAYS not in world.faults("a").values()
+        assert DOUBTED not in world.faults("a").values()
+
+    world.run(20.0, check)
+
+
+def see_a_part(id: str, told: KinMessage, time: float) -> Iterable[tuple[str, KinMessage]]:
+    """Robot c tells the objects alone that are within 70 degrees of its direction ahead."""
+    if id == "c":
+        pairs = [pair for pair in struct.iter_unpack(">Hh", told.objects) if abs(pair[1]) < 1222]
+        told = replace(told, objects=b"".join(struct.pack(">Hh", *pair) for pair in pairs))
+    yield id, told
+
+
+@pytest.mark.parametrize("is_known", [True, False])
+def test_a_lidar_that_leaves_out_directions_fits(is_known: bool) -> None:
+    world = World(relay=see_a_part, partial=frozenset("c" if is_known else ""))
+    world.run(ENOUGH)
+    named = set(world.faults("a").items()) | set(world.faults("b").items())
+    assert named == (set() if is_known else {("c", MISFIT)})  # the control
+
+
+def look_over_robots(id: str, told: KinMessage, time: float) -> Iterable[tuple[str, KinMessage]]:
+    """The lidar of robot c is higher than all other robots."""
+    yield id, replace(told, objects=b"") if id == "c" else told
+
+
+@pytest.mark.parametrize("is_known", [True, False])
+def test_a_lidar_that_looks_over_a_robot_fits(is_known: bool) -> None:
+    over = dict.fromkeys("ab", frozenset("c")) if is_known else {}
+    world = World(relay=look_over_robots, missed_by=over)
+    world.run(ENOUGH)
+    named = set(world.faults("a").items()) | set(world.faults("b").items())
+    assert named == (set() if is_known else {("c", MISFIT)})  # the control
+
+
+@pytest.mark.parametrize(("near", "is_doubted"), [(0.3, False), (0.5, True), (math.nan, True)])
+def test_a_robot_beside_a_wall_need_not_be_told(near: float, is_doubted: bool) -> None:
+    """A wall at a gap of 0.1 m and the robot are one object for a lidar 1.8 m away."""
+    bearings = np.radians(np.arange(-180.0, 180.0))
+    ranges = np.where(np.abs(bearings) < 0.5, near, 3.4)
+    scan = Scan(0, 0.0, ranges, bearings, 0.1, 3.5)
+    world = World(relay=look_over_robots, scan=lambda world, id: scan)
+    world.kins = {id: Kin(radius=0.2) for id in world.kins}
+    world.run(ENOUGH)
+    assert ("c" in world.faults("a")) is ("c" in world.faults("b")) is is_doubted
 
 
 @pytest.mark.parametrize("moves", [True, False])

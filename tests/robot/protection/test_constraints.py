@@ -36,6 +36,7 @@ from tests.support.barrier_parts import (
     part,
     reciprocal_cap,
     separation,
+    wall_cap,
 )
 from tests.support.filter_sim import decided, under_barrier
 from tests.support.kernel_forms import interpreted
@@ -59,6 +60,13 @@ ROOM = st.floats(-0.5, 5.0)
 BRAKING = st.floats(0.02, 5.0)
 OTHERS_SPEED = st.floats(0.0, 1.5)
 SECONDS = st.floats(0.0, 1.0)
+
+
+@pytest.mark.parametrize(("room", "unseen"), [(math.nan, 0.1), (0.3, math.nan)])
+def test_what_is_no_number_caps_all(room: float, unseen: float) -> None:
+    """A constraint with the cap NaN leaves zero alone (`Projection`)."""
+    assert math.isnan(closing_cap(room, 0.5, 0.0, unseen))
+    assert math.isnan(wall_cap(room, 0.5, 0.0, unseen))
 
 
 @given(ROOM, BRAKING, OTHERS_SPEED, SECONDS)
