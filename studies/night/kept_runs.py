@@ -167,11 +167,13 @@ def listed(file: Path) -> list[KeptRun]:
     """The runs that a program has listed, each once; none without a file.
 
     A program that was killed and goes on lists runs twice: the last line counts. A last line that
-    was cut off counts as not there. SwarmError for another fault.
+    was cut off counts as not there. A path in this checkout becomes relative to it: a check may run
+    in another one. SwarmError for another fault.
     """
     if not file.exists():
         return []
-    lines = file.read_bytes().split(b"\n")[:-1]
+    content = file.read_bytes().replace(f'"{ROOT}/'.encode(), b'"')
+    lines = content.split(b"\n")[:-1]
     runs = [_decoded(file, number, line, KeptRun) for number, line in enumerate(lines, 1)]
     return [*{run.key: run for run in runs}.values()]
 

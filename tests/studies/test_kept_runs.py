@@ -88,6 +88,14 @@ def test_a_run_that_is_listed_twice_counts_once_and_a_torn_line_not_at_all(tmp_p
     assert listed(tmp_path / "none") == []
 
 
+def test_a_listed_path_in_this_checkout_becomes_relative(tmp_path: Path) -> None:
+    file = tmp_path / "runs.jsonl"
+    # The root of these tests is tmp_path.
+    run = {"scenario": "s", "set": {"plugin_dir": f"{tmp_path}/studies"}, "seed": 0, "bits": BITS}
+    file.write_text(json.dumps(run) + "\n")
+    assert [one.set for one in listed(file)] == [{"plugin_dir": "studies"}]
+
+
 # The draw
 
 
