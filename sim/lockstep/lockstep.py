@@ -49,7 +49,6 @@ from swarmd.sim.lockstep.processes import TIMEOUT, RunProcess, run_processes
 from swarmd.sim.lockstep.recorder import LockstepRecorder
 from swarmd.sim.lockstep.schedules import Alarms, EventTimeline, Schedules
 from swarmd.sim.lockstep.shell import RobotShell
-from swarmd.sim.scenarios.preflight import has_findings
 from swarmd.sim.scenarios.pseudo_reality import drawn
 from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.scenarios.simulation import meta_of, radio_of, world_of
@@ -212,9 +211,6 @@ class Lockstep:
         bodies = [body_of(p) for p in self._platforms]
         self._bodies = dict(zip(self.world.ids, bodies, strict=True))
         self._heard: dict[str, Body | None] = {}  # bodies of robots that have ever had a daemon
-        # Robots get bodies only if a robot has a finding about another robot: its lidar cannot see
-        # the peer, or the peer is too fast.
-        self._is_mixed = has_findings(self._platforms, next(iter(self.scenario.settings.values())))
 
     def _begin_robots(self) -> None:
         """Set the state of bases and daemons, by row; no robot has a daemon."""
@@ -262,8 +258,7 @@ class Lockstep:
             for latches in list(self._peer_latches.values()):
                 shell.step(events.LatchesInput(latches), now)
         self.exchange()
-        if self._is_mixed:
-            self._update_peers(rows)
+        self._update_peers(rows)
         self._update_neighbors(range(len(self.shells)))
 
     def _instance(self, row: int) -> str:

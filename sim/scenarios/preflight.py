@@ -206,11 +206,6 @@ def _refusal(layers: Layered, held: Sequence[tuple[str, PeerFinding]]) -> Config
     return layers.error((f"accepts_{held[0][1].kind}",), "; ".join((*pairs, *remedies)))
 
 
-def has_findings(platforms: Iterable[Platform], settings: RobotSettings) -> bool:
-    """True if two robots of these platforms have a finding about each other."""
-    return any(True for _ in _pairs(platforms, settings))
-
-
 def _pairs(
     platforms: Iterable[Platform], settings: RobotSettings
 ) -> Iterator[tuple[str, PeerFinding]]:

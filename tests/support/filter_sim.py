@@ -62,11 +62,13 @@ def decided(
     delay: float = 0.0,
     touch: TouchZone | None = None,
     told: tuple[ToldObstacle, ...] = (),
+    longest_peer: float = 0.0,
 ) -> Decision:
     """The decision of new protection for a robot at rest, `age` s after its first scan.
 
-    `delay` s: by how much more than the platform's latency the scan is late. Mode `barrier`
-    decides compiled and interpreted, and alike.
+    `delay` s: by how much more than the platform's latency the scan is late. `longest_peer` m: the
+    longest diagonal of the peers heard; 0: none. Mode `barrier` decides compiled and interpreted,
+    and alike.
     """
     protections, begin = [Protection(platform)], 10.0
     if platform.protection["mode"] == "barrier" and FORMS[0] is not FORMS[1]:
@@ -76,6 +78,7 @@ def decided(
     later = Odometry(begin + age, HERE, ZERO)
     decisions: list[Decision] = []
     for protection in protections:
+        protection.hear(longest_peer)
         protection.observe(scan, DecisionContext(begin, 0.0, first, 0.0, delay))
         context = DecisionContext(begin + age, age, later, 0.0, delay, told)
         decisions.append(

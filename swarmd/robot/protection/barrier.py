@@ -162,6 +162,7 @@ class Barrier:
 
     def hear(self, diagonal: float) -> None:
         """Take in the longest diagonal in m of the platforms of all peers; inf: not known."""
+        self._feasible.near.hear(diagonal)
         if self._walls is not None:
             self._walls.hear(diagonal)
 

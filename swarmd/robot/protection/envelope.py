@@ -235,10 +235,12 @@ class Creeping:
           other half. Within this distance the nearest place of the robot does not close on it;
           other corners pass it.
         - A wide surface is a wall, or several bodies. What reaches out of it unseen must not hold
-          the robot for good, so the robot may come as near as SURFACE_GAP.
-        - A robot that is locked under these caps, too, may close on a narrow obstacle at
-          PART_SPEED, and as near as SURFACE_GAP: the returns of a pole beside its flank forbid
-          both turns, and those beyond the ends of the flank forbid to go straight.
+          the robot for good, so the robot may come as near as SURFACE_GAP. To a surface that may be
+          a peer that was heard it keeps PEER_RESERVE more.
+        - A robot that is locked under these caps, too, and has heard no peer, may close on a narrow
+          obstacle at PART_SPEED, and as near as SURFACE_GAP: the returns of a pole beside its flank
+          forbid both turns, and those beyond the ends of the flank forbid to go straight. Among
+          peers a narrow obstacle may be the head of a peer, whose body reaches farther.
 
         Args:
             constraints: of the decision.
@@ -249,7 +251,7 @@ class Creeping:
         near.find_surfaces()
         self._keep(constraints.rows)
         self._raise(constraints, near, least)
-        if self.is_locked(constraints):
+        if near.longest_peer == 0.0 and self.is_locked(constraints):
             self._raise_narrow(constraints, near)
         self.is_active = True
         self.slow.put(constraints.rows, constraints.axes)

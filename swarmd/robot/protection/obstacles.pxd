@@ -30,12 +30,14 @@ cdef class NearObstacles:
     cdef Py_ssize_t contacts
     cdef bint is_near, has_contact
     cdef object min_gap
+    cdef double longest_peer
     cdef const double[::1] _bearings
     cdef double[::1] _directions, _unsorted_gap
     cdef Py_ssize_t _returns
     cdef bint _has_surfaces
     cdef long long[::1] _order, _spare
     cdef int has_bare_walls(self) except? -1
+    cdef hear(self, double diagonal)
 
     @cython.locals(i=cython.Py_ssize_t, count=cython.Py_ssize_t)
     cdef set_bearings(self, bearings)

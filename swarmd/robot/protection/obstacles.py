@@ -138,6 +138,7 @@ class NearObstacles:
     is_near: bool  # an obstacle is so near that the envelope (envelope.py) holds
     has_contact: bool  # a decision since the last scan found the robot in contact
     min_gap: float | None  # m to the nearest return; None without a return
+    longest_peer: float  # m, the longest diagonal of the peers heard; 0: none; inf: not known
     bearings: Array  # of the rays, as the scan has them
     _bearings: Doubles
     _directions: Doubles  # x and y of each ray; x is NaN where they are not known yet
@@ -187,6 +188,12 @@ class NearObstacles:
         if layer is None:
             return False
         return layer.has_bare_walls != 0
+
+    def hear(self, diagonal: float) -> None:
+        """Take in the longest diagonal in m of the platforms of all peers; inf: not known."""
+        if diagonal != self.longest_peer:
+            self.longest_peer = diagonal
+            self._has_surfaces = False
 
     def set_bearings(self, bearings: Array) -> None:
         """Take the rays of other bearings; their directions are found when they are needed."""
@@ -454,7 +461,13 @@ class NearObstacles:
         if len(self.surface_gap) < self.points.count:
             self.surface_gap = doubles(len(self.points.x))
         find_surface_gaps(
-            unsorted.x, unsorted.y, unsorted.gap, self._returns, self._outline, self._unsorted_gap
+            unsorted.x,
+            unsorted.y,
+            unsorted.gap,
+            self._returns,
+            self._outline,
+            self.longest_peer,
+            self._unsorted_gap,
         )
         for i in range(self._returns, unsorted.count):
             self._unsorted_gap[i] = NAN

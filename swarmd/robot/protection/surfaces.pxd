@@ -2,18 +2,18 @@
 
 cimport cython
 
-cdef double SURFACE_SPACING, WIDE_SURFACE
+cdef double SURFACE_SPACING, WIDE_SURFACE, PEER_RESERVE
 cdef Py_ssize_t MEAN_RAYS, EDGE_RAYS
 cdef double MEAN_BELOW, _SURELY_NEAR
 
 @cython.locals(
     i=cython.Py_ssize_t, begin=cython.Py_ssize_t, start=cython.Py_ssize_t, at=cython.Py_ssize_t,
-    end=cython.Py_ssize_t, is_wide=cython.bint, neighbours=cython.Py_ssize_t,
+    end=cython.Py_ssize_t, is_wide=cython.bint, width=cython.double, reserve=cython.double, neighbours=cython.Py_ssize_t,
     near_ends=cython.Py_ssize_t
 )
 cdef int find_surface_gaps(
     double[::1] x, double[::1] y, double[::1] gap, Py_ssize_t count, Outline outline,
-    double[::1] surface_gap
+    double longest_peer, double[::1] surface_gap
 ) except? -1
 
 @cython.locals(across=cython.double, along=cython.double)

@@ -14,6 +14,10 @@ SURFACE_SPACING = 0.05
 WIDE_SURFACE = 0.3
 """m: a surface of at least this width is wide. A lidar above the bodies of robots sees parts of
 them that are 6 to 11 cm wide."""
+PEER_RESERVE = 0.03
+"""m that the gap to a wide surface is taken to be less if the surface may be a peer that was heard.
+Walls are flat, but the corners of a peer point at the robot: the mean place of returns is up to
+1.3 cm too far there, noise not included."""
 MEAN_RAYS = 5
 """Returns to either side that give the mean place of a return, at most: the noise of one ray (sd
 1 cm) becomes 0.3 cm. Before an edge that points at the robot the mean is too far: a TurtleBot 4 by
@@ -29,16 +33,28 @@ _SURELY_NEAR = 0.999 * SURFACE_SPACING
 
 
 def find_surface_gaps(
-    x: Doubles, y: Doubles, gap: Doubles, count: int, outline: Outline, surface_gap: Doubles
+    x: Doubles,
+    y: Doubles,
+    gap: Doubles,
+    count: int,
+    outline: Outline,
+    longest_peer: float,
+    surface_gap: Doubles,
 ) -> None:
     """Set the gap in m of each return to the wide surface that it is on; NaN: it is on none.
 
     A surface is a run of returns, of which each two neighbours are at most SURFACE_SPACING apart.
     The first and the last run are one surface if their ends are neighbours. The width of a surface
     is the diagonal of the box along the axes of the base around its returns. The gap is that of the
-    mean place of the return and its neighbours, as many to the left as to the right.
+    mean place of the return and its neighbours, as many to the left as to the right; less by
+    PEER_RESERVE on a surface that is no wider than the longest peer.
 
-    `x`, `y`, `gap`: of the first `count` near returns of a scan, in the order of their rays.
+    Args:
+        x, y, gap: of the first `count` near returns of a scan, in the order of their rays.
+        count: of these returns.
+        outline: of the robot.
+        longest_peer: m, the longest diagonal of a peer that was heard; 0: none.
+        surface_gap: the result.
     """
     begin = 0
     start = 0
@@ -64,16 +80,21 @@ def find_surface_gaps(
             low_y = min(low_y, y[at])
             high_y = max(high_y, y[at])
             end += 1
-        is_wide = hypot(high_x - low_x, high_y - low_y) >= WIDE_SURFACE
+        width = hypot(high_x - low_x, high_y - low_y)
+        is_wide = width >= WIDE_SURFACE
+        reserve = 0.0 if width > longest_peer else PEER_RESERVE
         for i in range(begin, end):
             at = (start + i) % count
-            surface_gap[at] = gap[at] if is_wide else NAN
+            surface_gap[at] = gap[at] - reserve if is_wide else NAN
             if is_wide and gap[at] < MEAN_BELOW:
                 neighbours = min(i - begin, end - 1 - i)
                 near_ends = min(neighbours, EDGE_RAYS)
-                surface_gap[at] = min(
-                    _gap_of_mean(x, y, at, neighbours, count, outline),
-                    _gap_of_mean(x, y, at, near_ends, count, outline),
+                surface_gap[at] = (
+                    min(
+                        _gap_of_mean(x, y, at, neighbours, count, outline),
+                        _gap_of_mean(x, y, at, near_ends, count, outline),
+                    )
+                    - reserve
                 )
         begin = end
 

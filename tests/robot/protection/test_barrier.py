@@ -385,6 +385,51 @@ def test_only_a_wide_surface_may_be_closed_on(width: float) -> None:
     assert (safe.linear > 0.01) is (width > 0.3)
 
 
+@pytest.mark.parametrize(
+    ("longest_peer", "kept"), [(0.0, 0.0125), (0.35, 0.0125), (0.45, 0.0425), (math.inf, 0.0425)]
+)
+@pytest.mark.parametrize(("gap", "most"), [(0.07, 0.015), (0.046, 0.007), (0.03, 0.0)])
+def test_a_surface_that_may_be_a_peer_is_closed_on_less_near(
+    gap: float, most: float, longest_peer: float, kept: float
+) -> None:
+    """By 3 cm: a box of 0.4 m ahead, beside a wall that locks the robot.
+
+    `most`: m/s, what (gap - 0.0425 m) / 0.5 s gives, and CREEP_SPEED at most.
+    """
+    robot = CREEPING[2]
+    front = float(robot.footprint[:, 0].max())
+    wall = beside(robot, [(0.1, 270.0)])
+    box = np.stack((np.full(400, front + gap), np.linspace(-0.2, 0.2, 400)), axis=1)
+    place = box - robot.scan.offset
+    ranges = wall.ranges.copy()
+    rays = np.round(np.degrees(np.arctan2(place[:, 1], place[:, 0]))).astype(int) % RAYS
+    ranges[rays] = np.minimum(ranges[rays], np.hypot(*place.T))
+    scan = scan_from(robot, ranges, robot.scan.bearings)
+    safe = decided(robot, scan, Twist(0.2), longest_peer=longest_peer).safe
+    wanted = most if kept > 0.02 else 0.015
+    assert safe.linear == pytest.approx(wanted, abs=2e-4)
+
+
+def test_a_peer_that_is_heard_later_counts_in_the_same_scan() -> None:
+    """The gaps to wide surfaces are found once for each scan, and anew for another peer."""
+    robot = CREEPING[2]
+    scan = beside(robot, [(0.03, 270.0), (0.03, 0.0)])
+    geometry = ScanGeometry(robot.scan)
+    for form in FORMS:
+        barrier = form.Barrier(robot)
+        context = DecisionContext(10.0, 0.0, Odometry(10.0, Pose(), ZERO), 0.0)
+        barrier.observe(scan, geometry, context)
+        found = []
+        for number, longest_peer in enumerate((0.0, math.inf, 0.0)):
+            barrier.hear(longest_peer)
+            at = 10.0 + 0.001 * number
+            later = DecisionContext(at, at - 10.0, Odometry(at, Pose(), ZERO), 0.0)
+            found.append(barrier.decide(Twist(0.2), later, ZERO, None).twist.linear)
+        assert found[0] > 0.01
+        assert found[1] == pytest.approx(0.0, abs=1e-9)
+        assert found[2] > 0.01
+
+
 POLES = st.lists(
     st.tuples(st.floats(0.0, 0.12), st.floats(0.0, 360.0), st.floats(0.02, 0.15)),
     min_size=1,
@@ -410,26 +455,35 @@ def beside_poles(platform: Platform, poles: Sequence[tuple[float, float, float]]
     return scan_from(platform, ranges, bearings)
 
 
-@given(st.sampled_from([*CREEPING, *VISIBLE]), POLES, SHARE, SHARE, SHARE, AGE)
-@example(CREEPING[0], [(0.05, 90.0, 0.15)], 1.0, 0.0, 0.0, 0.0)
-@example(CREEPING[0], [(0.05, 90.0, 0.15)], 0.0, 1.0, 0.0, 0.0)
-@example(CREEPING[0], [(0.05, 90.0, 0.15)], 0.4, 1.0, 0.0, 0.0)
-@example(CREEPING[0], [(0.0131, 90.0, 0.15)], -1.0, 0.0, 0.0, 0.0)
-@example(CREEPING[0], [(0.02, 90.0, 0.15)], 1.0, 0.0, 0.0, 0.1)
+HEARD = st.sampled_from([0.0, 0.3, math.inf])
+
+
+@given(st.sampled_from([*CREEPING, *VISIBLE]), POLES, SHARE, SHARE, SHARE, AGE, HEARD)
+@example(CREEPING[0], [(0.05, 90.0, 0.15)], 1.0, 0.0, 0.0, 0.0, 0.0)
+@example(CREEPING[0], [(0.05, 90.0, 0.15)], 0.0, 1.0, 0.0, 0.0, 0.0)
+@example(CREEPING[0], [(0.05, 90.0, 0.15)], 0.4, 1.0, 0.0, 0.0, 0.0)
+@example(CREEPING[0], [(0.0131, 90.0, 0.15)], -1.0, 0.0, 0.0, 0.0, 0.0)
+@example(CREEPING[0], [(0.02, 90.0, 0.15)], 1.0, 0.0, 0.0, 0.1, 0.0)
+@example(CREEPING[0], [(0.05, 90.0, 0.15)], 1.0, 0.0, 0.0, 0.0, 0.3)
+@example(CREEPING[0], [(0.02, 90.0, 0.15)], 0.4, 1.0, 0.0, 0.0, math.inf)
 def test_the_nearest_place_hardly_closes_on_a_narrow_obstacle_that_may_touch(
     platform: Platform, poles: list[tuple[float, float, float]], v: float, w: float, aside: float,
-    age: float,
+    age: float, longest_peer: float,
 ) -> None:  # fmt: skip
-    """Nor nearer than 1.25 cm to what the scan shows, whatever holds the robot."""
+    """Nor nearer than 1.25 cm to what the scan shows, whatever holds the robot.
+
+    Among peers not at all: the obstacle may be the head of one.
+    """
     settings = platform.protection["barrier"]
     scan = beside_poles(platform, poles)
     straight = request_of(platform, v, w)
     requested = Twist(straight.linear, straight.angular, aside * platform.limits.lateral)
-    safe = decided(platform, scan, requested, age=age).safe
+    safe = decided(platform, scan, requested, age=age, longest_peer=longest_peer).safe
     for point in points(platform, scan):
         gap, at, towards = outline_point(platform.footprint, point)
         if gap <= settings["margin"] + settings["unseen_extent"]:
             allowed = min(max((gap - PART_GAP) / PART_TIME, 0.0), PART_SPEED)
+            allowed = 0.0 if longest_peer > 0.0 else allowed
             assert closing_speed(safe, at, towards) <= allowed + 1e-9
 
 
@@ -454,6 +508,8 @@ def test_a_robot_beside_a_pole_leaves_it(direction: float) -> None:
     for v in (1.0, -1.0):
         safe = decided(BURGER, scan, request_of(BURGER, v, 0.0)).safe
         assert abs(safe.linear) > 0.005
+        held = decided(BURGER, scan, request_of(BURGER, v, 0.0), longest_peer=0.3).safe
+        assert held.linear == pytest.approx(0.0, abs=1e-9)
     assert decided(BURGER, scan, ZERO).safe == ZERO
 
 

@@ -13,7 +13,7 @@ from swarmd.core.messages import State
 from swarmd.sim.lockstep.lockstep import Lockstep, simulate_run
 from swarmd.sim.metrics.gap import minimum_gap
 from swarmd.sim.scenarios.scenario import Scenario
-from swarmd.sim.scenarios.scenariofile import scenario_of
+from swarmd.sim.scenarios.scenariofile import load_scenario, scenario_of
 from swarmd.sim.trace import Trace
 from tests.support.kernel_forms import long_run
 
@@ -116,6 +116,27 @@ def test_rammed_robot_is_not_at_fault(kind: str, bearing: float) -> None:
         group(f"ram-{kind}", "b", (x, y, bearing + math.pi), SPEEDS[kind]),
     )
     assert first_touch(trace) <= NO_FAULT
+
+
+@pytest.mark.parametrize(
+    ("visibility", "seed", "duration"), [("body", 8019, 45.0), ("real", 8000, 60.0)]
+)
+def test_robots_in_a_jam_do_not_touch(
+    visibility: str, seed: int, duration: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Locked robots creep out, and keep off what may be a peer, since they hear each other.
+
+    The control is the same run of robots that hear no peer.
+    """
+    changes = {
+        "groups.all.parameters.law": "paper",
+        "lidar_visibility": visibility,
+        "duration": duration,
+    }
+    jam = load_scenario("paper_exp1_hardware", changes)
+    assert len(simulate_run(jam, seed).contact_t) == 0
+    monkeypatch.setattr(Lockstep, "_update_peers", lambda *_: None)
+    assert len(simulate_run(jam, seed).contact_t) > 0
 
 
 def test_robot_stops_at_a_thin_pole() -> None:
