@@ -6,20 +6,23 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec.structs import replace as replaced
 
 from studies import faults
 from studies.faults import AT, BEHAVIOURS, FAULTS, FAULTY, REMOVED, SOUND, Found, Record, Task
 from tests.support.traces import trace_of
 
 
+@pytest.mark.parametrize("number", [1, 2])
 @pytest.mark.parametrize("pattern", BEHAVIOURS)
-def test_each_row_gives_one_of_seven_robots_one_fault(pattern: str) -> None:
+def test_each_row_gives_one_or_two_of_seven_robots_one_fault(pattern: str, number: int) -> None:
     for name in (SOUND, REMOVED, *FAULTS):
-        made = faults.scenario(pattern, name)
-        own = [event for event in made.events if event.at > 0.0]
+        made = faults.scenario(Task(pattern, name, 0, number))
+        begin = [event for event in made.events if event.at == AT]
         assert len(made.robots) == 7
-        assert [event.robots for event in own] == [(FAULTY,)] * len(own)
-        assert [event.at for event in own[:1]] == ([] if name == SOUND else [AT])
+        assert all(event.at >= AT for event in made.events if event.at > 0.0)
+        wanted = [] if name == SOUND else [("tb3-04",), ("tb3-06",)][:number]
+        assert [event.robots for event in begin] == wanted
 
 
 def test_a_frozen_lidar_is_named_within_3_s_and_not_without_the_fault() -> None:
@@ -53,9 +56,28 @@ def test_a_text_of_runs_without_a_fault_names_none(monkeypatch: pytest.MonkeyPat
     assert by_fault["scan mirrored"][:2] == ["never", "0 of 1"]
 
 
+def test_runs_with_two_faulty_robots_stand_beside_those_with_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The seeds of both count, and those of one robot alone do not."""
+    monkeypatch.setattr(faults, "BEHAVIOURS", {"flocking": BEHAVIOURS["flocking"]})
+    names = (SOUND, REMOVED, *FAULTS)
+    of_one = [record(fault, {}, 1.0 if fault == SOUND else 2.0) for fault in names]
+    of_one += [replace(one, task=replaced(one.task, seed=1)) for one in of_one]
+    of_one[-1] = replace(of_one[-1], found=replaced(of_one[-1].found, outcome=9.0))
+    of_two = [record(fault, {}, 4.0, own=3) for fault in (REMOVED, *FAULTS)]
+    first, _, head, _, *rows = faults.table_of_two(of_two, of_one).splitlines()
+    assert first == "Seeds: 1."
+    assert head.count("|") == 10
+    cells = [[cell.strip() for cell in row.strip("|").split("|")] for row in rows]
+    assert [row[1] for row in cells] == list(FAULTS)
+    assert cells[-1][2:] == ["3.0", "3", "0", "4", "2", "1", "4"]
+
+
 def test_what_was_said_before_the_fault_or_by_others_does_not_count() -> None:
-    said = [[1.0, FAULTY, "before"], [AT + 3.5, FAULTY, "for 2.5 s"], [AT + 1.0, "tb3-01", "other"]]
-    trace = trace_of(np.zeros((3, 2, 3)), ids=("tb3-01", FAULTY), meta={"said": said})
+    robot = FAULTY[0]
+    said = [[1.0, robot, "before"], [AT + 3.5, robot, "for 2.5 s"], [AT + 1.0, "tb3-01", "other"]]
+    trace = trace_of(np.zeros((3, 2, 3)), ids=("tb3-01", robot), meta={"said": said})
     trace = replace(trace, reason=None)
     assert dict(faults._said(trace, is_control=False)) == {"for # s": 3.5}
     assert set(dict(faults._said(trace, is_control=True))) == {"before", "for # s", "other"}
