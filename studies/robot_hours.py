@@ -34,6 +34,7 @@ _COLUMNS: Columns = {
     **{name: EVIDENCE[name] for name in ("robot-hours", "touches", "pushed", "at fault")},
     "a robot-hour, at most (95 %)": lambda found: _bound(found),
     "hardest": EVIDENCE["hardest"],
+    "held": EVIDENCE["held"],
     "smallest gap [m]": lambda found: f"{found.min_gap:.3f}",
 }
 

@@ -70,6 +70,7 @@ EVIDENCE: Columns = {
         f"{upper_bound(f.faults + f.touch_faults, f.seconds / HOUR):.2g}"
     ),
     "hardest": lambda f: _speed(max(f.worst, f.worst_touch)),
+    "held": lambda f: "-" if f.held is None else f"{f.held / f.seconds:.2%}",
     "`moving_wall`": lambda f: str(f.told),
 }
 """What docs/evidence/safety.md shows of a cell: touches of robots, walls and poles."""

@@ -14,6 +14,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from msgspec import Struct
+from numpy.typing import NDArray
 
 from benchmarks.table import markdown
 from studies import keeper
@@ -22,6 +23,8 @@ from studies.safety.driven import faults
 from studies.safety.judge import collisions
 from swarmd.core.values import Array
 from swarmd.sim.lockstep.lockstep import simulate_run
+from swarmd.sim.metrics.clearance import Measure, obstacles
+from swarmd.sim.metrics.window import arena_of
 from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.scenarios.scenariofile import scenario_of
 from swarmd.sim.trace import Trace
@@ -115,9 +118,9 @@ def scenario_for(run: Run) -> Scenario:
     )
 
 
-def measure(trace: Trace, side: float) -> Found:
-    """The windows of a trace of robots in a square of `side` m."""
-    held = np.array(list(_held(trace, side)), dtype=np.bool_).reshape(-1, len(trace.ids))
+def measure(trace: Trace) -> Found:
+    """The windows of a trace."""
+    held = held_windows(trace)
     longest = run = np.zeros(held.shape[1])
     for row in held:
         run = np.where(row, run + WINDOW, 0.0)
@@ -131,9 +134,22 @@ def measure(trace: Trace, side: float) -> Found:
     )
 
 
-def _held(trace: Trace, side: float) -> Iterator[list[bool]]:
+def held_windows(trace: Trace) -> NDArray[np.bool_]:
+    """(windows, robots) whether each robot is held in each window.
+
+    ValueError for a trace without the requested commands or the arena.
+    """
+    rows = list(_held(trace))
+    return np.array(rows, dtype=np.bool_).reshape(-1, len(trace.ids))
+
+
+def _held(trace: Trace) -> Iterator[list[bool]]:
     """Of each window: whether each robot is held in it."""
-    assert trace.requested is not None, "a trace of lockstep has the requested commands"
+    arena = arena_of(trace)
+    if trace.requested is None or arena is None:
+        raise ValueError("a trace without requested commands or arena; wanted: one of lockstep")
+    things = [distance for _, _, distance in obstacles(trace, slice(None), arena)]
+    room = 0.5 * np.array((arena.length, arena.width))
     asks = np.abs(trace.requested).max(axis=2) > 0.0
     starts = np.arange(trace.t[0], trace.t[-1] - WINDOW + _ROUNDING, WINDOW)
     for start in starts.tolist():
@@ -147,23 +163,34 @@ def _held(trace: Trace, side: float) -> Iterator[list[bool]]:
             bool(off[row] < STANDS)
             and bool(wants[row])
             and row not in touched
-            and _has_floor(trace, pose[0], row, side)
+            and _has_floor(trace, int(np.argmax(is_in)), row, things, room)
             for row in range(len(trace.ids))
         ]
 
 
-def _has_floor(trace: Trace, pose: Array, row: int, side: float) -> bool:
-    """Whether robot `row` of the poses (n, 3) could move WAY m ahead or back."""
+def _has_floor(
+    trace: Trace, instant: int, row: int, things: Sequence[Measure], room: Array
+) -> bool:
+    """Whether robot `row` could move WAY m ahead or back at an instant.
+
+    `things`: the distances from obstacles. `room`: (2,) m, half of the sides of the arena.
+    """
+    pose = trace.pose[instant]
     others = [
         transform(trace.footprint(other), pose[other]) for other in range(len(pose)) if other != row
     ]
-    return any(
-        all(
-            _is_free(transform(trace.footprint(row), _moved(pose[row], way * part)), others, side)
-            for part in np.linspace(1.0 / _STEPS, 1.0, _STEPS).tolist()
+
+    def is_free(way: float) -> bool:
+        outline = transform(trace.footprint(row), _moved(pose[row], way))
+        at = np.array([instant])
+        return (
+            bool((np.abs(outline).max(axis=0) < room).all())
+            and all(float(distance(outline[None], at)[0]) > 0.0 for distance in things)
+            and all(float(gaps(outline, other)) > 0.0 for other in others)
         )
-        for way in (WAY, -WAY)
-    )
+
+    parts = np.linspace(1.0 / _STEPS, 1.0, _STEPS).tolist()
+    return any(all(is_free(way * part) for part in parts) for way in (WAY, -WAY))
 
 
 def _moved(pose: Array, way: float) -> Array:
@@ -171,15 +198,10 @@ def _moved(pose: Array, way: float) -> Array:
     return np.asarray(pose + way * ahead)
 
 
-def _is_free(outline: Array, others: Sequence[Array], side: float) -> bool:
-    is_inside = bool(np.abs(outline).max() < 0.5 * side)
-    return is_inside and all(float(gaps(outline, other)) > 0.0 for other in others)
-
-
 def perform(run: Run) -> Traced[Found]:
     """Simulate and measure a run, in this process."""
     trace = simulate_run(scenario_for(run), run.seed)
-    return traced(measure(trace, SWARMS[run.swarm].side), trace)
+    return traced(measure(trace), trace)
 
 
 def carry_out(modes: Sequence[str], seeds: int, jobs: int, file: Path) -> list[Record]:

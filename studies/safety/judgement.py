@@ -8,9 +8,11 @@ import numpy as np
 from msgspec import Struct
 
 from studies.safety.driven import faults
+from studies.safety.held import WINDOW, held_windows
 from studies.safety.judge import FAULT, collisions, stuck_windows
 from swarmd.sim.metrics.gap import minimum_gap
 from swarmd.sim.metrics.protection import alterations
+from swarmd.sim.metrics.window import arena_of
 from swarmd.sim.trace import Trace
 from swarmd.sim.world.realism import REALISTIC, Actuation
 
@@ -24,9 +26,11 @@ class Judgement(Struct, frozen=True, kw_only=True):
     and poles, each with the number at fault and their fastest own surface in m/s (0: none);
     `hits`: collisions that began with a fault, and the fastest. `pushed`: collisions and contacts
     into which a robot was pushed. `told`: events of robots that a wall moved, at most ten a robot.
-    `goals` reached within `goal_seconds` of all of them together, `windows` of WINDOW s, and how
-    many of them `stuck`: all 0 where there was no goal to reach. `altered`: mean change of the
-    requested command, times `seconds`.
+    `held` s in which robots that asked for motion stood with free floor, in windows of 10 s
+    (held.py); None: not known, as without the requested commands. `goals` reached within
+    `goal_seconds` of all of them together, `windows` of WINDOW s, and how many of them `stuck`: all
+    0 where there was no goal to reach. `altered`: mean change of the requested command, times
+    `seconds`.
     `min_gap` m between two robots' outlines at the trace's instants.
     """
 
@@ -47,6 +51,7 @@ class Judgement(Struct, frozen=True, kw_only=True):
     altered: float
     min_gap: float
     told: int = 0
+    held: float | None = None
 
 
 def judge(
@@ -70,6 +75,9 @@ def judge(
     seconds = trace.duration * len(rows)
     reached = np.zeros(1) if goals is None else np.nanmax(goals[:, rows], axis=0, initial=0.0)
     windows, stuck = (0, 0) if goals is None else stuck_windows(trace, rows)
+    held = None
+    if trace.requested is not None and arena_of(trace) is not None:
+        held = WINDOW * float(held_windows(trace)[:, rows].sum())
     changes = alterations(trace)
     altered = 0.0 if changes is None else float(np.nan_to_num(np.nanmean(changes[:, rows])))
     return Judgement(
@@ -89,4 +97,5 @@ def judge(
         stuck=stuck,
         altered=altered * seconds,
         min_gap=minimum_gap(trace),
+        held=held,
     )

@@ -65,13 +65,22 @@ def carry_out(tasks: Sequence[Task], file: Path, jobs: int) -> list[Record]:
 
 
 def total(found: Iterable[Judgement]) -> Judgement:
-    """The numbers of several runs together: sums, the worst speeds and the smallest gap."""
+    """The numbers of several runs together: sums, the worst speeds and the smallest gap.
+
+    What is not known of one run is not known of all together.
+    """
     some = [structs.asdict(one) for one in found]
 
-    def merge(name: str) -> Callable[[Iterable[Any]], Any]:
-        return max if name.startswith("worst") else min if name == "min_gap" else sum
+    def merged(name: str) -> Any:
+        merge: Callable[[Iterable[Any]], Any] = sum
+        if name.startswith("worst"):
+            merge = max
+        elif name == "min_gap":
+            merge = min
+        values = [one[name] for one in some]
+        return None if None in values else merge(values)
 
-    return Judgement(**{name: merge(name)(one[name] for one in some) for name in some[0]})
+    return Judgement(**{name: merged(name) for name in some[0]})
 
 
 def _told(record: Record) -> str:

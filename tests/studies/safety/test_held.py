@@ -6,12 +6,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from studies.safety.held import MODES, SWARMS, WINDOW, Run, measure, scenario_for
+from studies.safety.judgement import judge
+from studies.safety.runs import total
 from swarmd.core.values import Array
 from swarmd.sim.trace import Trace
 
-SIDE = 2.0
+ARENA = "2x2"
 SQUARE = np.array(((-0.1, -0.1), (0.1, -0.1), (0.1, 0.1), (-0.1, 0.1)))
 
 
@@ -33,16 +36,17 @@ def made(poses: list[tuple[float, float, float]], **changes: Any) -> Trace:
         "contact_speed": np.zeros((0, 2)),
         "platforms": ("square",) * count,
         "footprints": {"square": SQUARE},
+        "meta": {"arena": ARENA},
     }
     return Trace(**{**values, **changes})
 
 
 def held(trace: Trace) -> int:
-    return measure(trace, SIDE).held
+    return measure(trace).held
 
 
 def test_a_robot_with_free_floor_is_held_in_each_window() -> None:
-    found = measure(made([(0.0, 0.85, 0.0)]), SIDE)  # 5 cm from the wall at y = 1 m
+    found = measure(made([(0.0, 0.85, 0.0)]))  # 5 cm from the wall at y = 1 m
     assert (found.windows, found.held, found.longest) == (2, 2, 2.0 * WINDOW)
 
 
@@ -54,8 +58,33 @@ def test_a_robot_with_free_floor_is_held_in_each_window() -> None:
     ],
 )
 def test_a_robot_without_floor_is_not_held(poses: list[tuple[float, float, float]]) -> None:
-    whole = measure(made(poses), SIDE)
+    whole = measure(made(poses))
     assert whole.held == 2  # the robot behind can back out, the one in the corner cannot
+
+
+@pytest.mark.parametrize(
+    ("parts", "held_windows"),
+    [
+        (",box:0.3:0:0.2:0.2,box:-0.3:0:0.2:0.2", 0),
+        (",pole:0.3:0:0.1,segment:-0.3:-0.5:-0.3:0.5", 0),
+        (",box:0.3:0:0.2:0.2", 2),
+        (",box:0.6:0:0.2:0.2,box:-0.3:0:0.2:0.2", 2),
+    ],
+)
+def test_floor_is_free_of_boxes_poles_and_inner_walls(parts: str, held_windows: int) -> None:
+    """The robot asks to move 0.3 m ahead or back; its outline reaches 0.1 m."""
+    trace = made([(0.0, 0.0, 0.0)], meta={"arena": f"{ARENA}{parts}"})
+    assert held(trace) == held_windows
+
+
+def test_a_judgement_has_the_time_in_which_protected_robots_were_held() -> None:
+    trace = made([(0.0, 0.0, 0.0), (0.5, 0.5, 0.0)], meta={"arena": ARENA})
+    assert judge(trace).held == 4.0 * WINDOW
+    assert judge(trace, ["r1"]).held == 2.0 * WINDOW
+    assert judge(made([(0.0, 0.0, 0.0)], requested=None)).held is None
+    known, unknown = judge(trace), structs.replace(judge(trace), held=None)
+    assert total([known, known]).held == 8.0 * WINDOW
+    assert total([known, unknown]).held is None
 
 
 def test_a_robot_that_moves_or_asks_for_nothing_or_touches_is_not_held() -> None:

@@ -118,15 +118,20 @@ def test_a_plan_has_the_hours_asked_for_over_all_scenes_with_fresh_seeds() -> No
 def test_tables_have_a_row_for_each_cell_by_its_options_and_separate_what_is_not_claimed() -> None:
     text = hours.tables(
         [
-            record(Scene("goals", "burger")),
+            record(Scene("goals", "burger"), 7, changed(held=9.0)),
             record(Scene("goals", "burger", "real")),
             record(Scene("ram", "burger"), 7, changed(collisions=5, faults=1, worst=0.031)),
             record(Scene("ram_fast", "burger"), 8, changed(collisions=5, faults=1, worst=0.2)),
         ]
     )
     alone, claimed, beyond, at_fault = text.split("#### ")[1:]
-    assert cells(alone, "goals", "body") == "1.00 | 0 | 0 | 0 | 3 | - | 0 | 2026-11-22 | 1a2b3c4"
-    assert cells(alone, "goals", "real") == "1.00 | 0 | 0 | 0 | 3 | - | 0 | 2026-11-22 | 1a2b3c4"
+    assert (
+        cells(alone, "goals", "body")
+        == "1.00 | 0 | 0 | 0 | 3 | - | 0.25% | 0 | 2026-11-22 | 1a2b3c4"
+    )
+    assert (
+        cells(alone, "goals", "real") == "1.00 | 0 | 0 | 0 | 3 | - | - | 0 | 2026-11-22 | 1a2b3c4"
+    )
     assert cells(claimed, "ram", "body").startswith("1.00 | 5 | 0 | 1 | 4.7 | 3.1 cm/s |")
     assert "20.0 cm/s" in cells(beyond, "ram_fast", "body")
     assert "`python -m studies.safety one ram burger body barrier 7 --duration 600`" in at_fault
