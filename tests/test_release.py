@@ -130,6 +130,19 @@ def test_pages_name_the_archives_of_the_version_of_the_package() -> None:
     assert named == {project["version"]}
 
 
+@pytest.mark.parametrize(
+    ("page", "shown"),
+    [
+        ("CONTRIBUTING.md", r"\bv(\d+\.\d+\.\d+)\b"),
+        ("docs/looking_after.md", r"\bversion +(\d+\.\d+\.\d+);"),
+    ],
+)
+def test_a_page_shows_the_version_of_the_package(page: str, shown: str) -> None:
+    """The tag of the next release, and what `doctor` prints."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert set(re.findall(shown, (ROOT / page).read_text())) == {project["version"]}
+
+
 def test_the_ros_package_has_the_version_of_the_package() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     package = ROOT / "drivers/swarmd_bringup"
