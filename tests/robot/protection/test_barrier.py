@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import example, given
+from hypothesis import assume, example, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from msgspec import structs
@@ -789,6 +789,8 @@ def test_touch_zone_frees_only_its_sector(
     zone = TouchZone(bearing, half, speed)
     scan, requested = seeing(platform, returns), request_of(platform, v, w)
     without = decided(platform, scan, requested).safe
+    creeps = slowed(platform, without, 1.001 * CREEP_SPEED) == without != ZERO
+    assume(not creeps)  # what may be touched keeps a locked robot from creeping out
     slow = slowed(platform, without, speed)
     while not passes(platform, scan, slow):  # slower, its stop is another one
         slow = slowed(platform, decided(platform, scan, slow).safe, 0.9 * speed)
