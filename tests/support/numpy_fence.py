@@ -64,10 +64,8 @@ class NumpyFence(Fence):
                 poses.append(Pose(x, y, pose.yaw))
 
         def are_permitted(twists: Array) -> NDArray[np.bool_]:
-            return np.all(
-                [self._are_permitted(twists, one, speeds, need, turn_error) for one in poses],
-                axis=0,
-            )
+            each = [self._are_permitted(twists, one, speeds, need, turn_error) for one in poses]
+            return np.asarray(np.all(each, axis=0))
 
         wanted = np.array([[requested.linear, requested.lateral, requested.angular]])
         if are_permitted(wanted)[0]:
