@@ -53,6 +53,13 @@ def test_the_notes_are_the_entry_of_the_version_alone() -> None:
     assert RELEASE["notes_of"](CHANGES, "0.1.0") == "A\nB"
 
 
+def test_an_entry_of_the_notes_is_one_line() -> None:
+    """GitHub shows the end of a line in the notes of a release as a break."""
+    changelog = "## 0.1.0, 2026-11-26\n\n- **A**: b\n  c `d`\n  e\n  - f\n    g\n- h\n\n### I\n"
+    notes = RELEASE["notes_of"](changelog, "0.1.0")
+    assert notes == "- **A**: b c `d` e\n  - f g\n- h\n\n### I"
+
+
 def test_metadata_names_the_address_of_the_release_alone() -> None:
     """The repository states no address of its own, which would be an invented one."""
     text = (ROOT / "pyproject.toml").read_text()
@@ -121,6 +128,19 @@ def test_pages_name_the_archives_of_the_version_of_the_package() -> None:
         one for page in pages for one in re.findall(r"\bswarmd-(\d[\d.]*\d)-", page.read_text())
     }
     assert named == {project["version"]}
+
+
+@pytest.mark.parametrize(
+    ("page", "shown"),
+    [
+        ("CONTRIBUTING.md", r"\bv(\d+\.\d+\.\d+)\b"),
+        ("docs/looking_after.md", r"\bversion +(\d+\.\d+\.\d+);"),
+    ],
+)
+def test_a_page_shows_the_version_of_the_package(page: str, shown: str) -> None:
+    """The tag of the next release, and what `doctor` prints."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert set(re.findall(shown, (ROOT / page).read_text())) == {project["version"]}
 
 
 def test_the_ros_package_has_the_version_of_the_package() -> None:

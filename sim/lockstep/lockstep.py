@@ -335,6 +335,7 @@ class Lockstep:
             self.alarms.set(row, self.world.time)
             for latches in list(self._peer_latches.values()):
                 shell.step(events.LatchesInput(latches), self.world.time)
+            self._hand_bodies(shell)  # also of robots that started meanwhile
 
     def _set_absent(self, row: int) -> None:
         self.alarms.set(row, None)
@@ -554,8 +555,11 @@ class Lockstep:
         """Hand the bodies of new robots to all robots, as beacons do."""
         self._heard |= {self.world.ids[row]: self._bodies[self.world.ids[row]] for row in new}
         for shell in self._present(range(len(self.shells))):
-            others = {i: body for i, body in self._heard.items() if i != shell.robot.id}
-            shell.step(events.PeersInput(others), self.world.time)
+            self._hand_bodies(shell)
+
+    def _hand_bodies(self, shell: RobotShell) -> None:
+        others = {i: body for i, body in self._heard.items() if i != shell.robot.id}
+        shell.step(events.PeersInput(others), self.world.time)
 
     def _sense(self, now: float) -> None:
         for row, input in sensors_due(

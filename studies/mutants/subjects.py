@@ -114,6 +114,7 @@ def subjects() -> Sequence[Subject]:
             tests=("tests/robot/test_ticker.py", "tests/robot/test_robot.py"),
             more=(
                 "tests/robot/test_lying_steering.py",
+                "tests/robot/test_permit.py",
                 "tests/robot/test_kin.py",
                 "tests/robot/test_sensors.py",
                 "tests/robot/test_quiet_ticks.py",

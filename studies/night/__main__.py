@@ -6,7 +6,8 @@ of each table whose sources have changed, and says which tables are current. `--
 to do with their CPU-minutes, and for named jobs their sources and which of them have changed.
 `--runs` does the jobs and writes their kept runs alone: it says whether these give the tables that
 stand on the pages. With `--on ADDRESS` a Dask cluster does the runs of the jobs that go through
-`simulate`; the others run here.
+`simulate`; the others run here. `--check --processor SandyBridge` does the kept runs here and on an
+emulated processor (`emulated.py`).
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from datetime import date
 
 from benchmarks.table import markdown
 from studies.night.check import CURRENT, State, check, look_at, tell_pages
+from studies.night.emulated import check_on
 from studies.night.jobs import JOBS, STORED_RUNS, Job, PatternJob, keep, share, stored_runs
 from studies.night.kept_runs import Found, KeptRun, Made, listed, read_runs, write
 from studies.night.pages import write_parts
@@ -215,6 +217,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "--shard", default="1/1", metavar="K/N", help="the K-th of N parts of the jobs"
     )
     parser.add_argument("--check", action="store_true", help="which tables are current")
+    parser.add_argument("--processor", help="an emulated one for --check: SandyBridge")
     parser.add_argument("--runs", action="store_true", help="write the kept runs, and no table")
     parser.add_argument("--on", metavar="ADDRESS", help="a Dask scheduler: tls://HOST:8786")
     options = parser.parse_args(arguments)
@@ -244,6 +247,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BlockingIOError as error:
         text = "another night, or a job of an ended one, runs here: wait, or use another checkout"
         raise SwarmError(f"{ROOT}: {text}") from error
+    if options.processor is not None:
+        if not options.check:
+            raise SwarmError("--processor goes with --check")
+        return check_on(options.processor, chosen)
     if options.check:
         return check_tables(chosen, is_again=options.all)
     bad = 0

@@ -205,11 +205,12 @@ def _differing(made: Made, draw: Sequence[KeptRun]) -> list[str]:
 
 
 def done_again(
-    checkout: Path, runs: Sequence[KeptRun], processes: int | None = None
+    checkout: Path, runs: Sequence[KeptRun], processes: int | None = None, python: str | None = None
 ) -> list[dict[str, str]]:
     """The bits of runs by the code of a checkout, or their errors, in their order.
 
-    `processes`: that simulate at a time; None: as many as there are cores.
+    `processes`: that simulate at a time; None: as many as there are cores. `python`: the program
+    that does them; None: that of this process.
 
     SwarmError if the program that does them fails.
     """
@@ -217,7 +218,7 @@ def done_again(
     environment |= {"PYTHONPATH": str(checkout), "OPENBLAS_NUM_THREADS": "1", STORE: OFF}
     environment.pop(LIST, None)
     done = subprocess.run(
-        [sys.executable, "-P", str(PROGRAM), str(processes or usable_cores())],
+        [python or sys.executable, "-P", str(PROGRAM), str(processes or usable_cores())],
         input="".join(f"{json.dumps(run.how)}\n" for run in runs),
         cwd=checkout,
         env={**environment, "PYTHONHASHSEED": os.environ.get("PYTHONHASHSEED", "0")},

@@ -274,8 +274,8 @@ JOBS: Sequence[Job] = (
         has_verdict=True,
     ),
     _study("ros_faults", 6.0, module="ros"),
-    _study("ros2swarm", 60.0, variable="SWARMD_ROS2SWARM"),
-    Job("executors", ("-m", "benchmarks.executors"), 20.0),
+    _study("ros2swarm", 40.0, variable="SWARMD_ROS2SWARM"),
+    Job("executors", ("-m", "benchmarks.executors"), 25.0),
     Job(
         "rivals",
         ("-m", "benchmarks.rivals"),

@@ -26,6 +26,7 @@ from swarmd.core.refusal import Refusal
 from swarmd.kit.touch_config import TouchGrants, TouchSection
 from swarmd.robot.protection.decision import NO_PERMIT, Decision, DecisionContext, Permit, Steered
 from swarmd.testing.scans import Disc, scan_of
+from tests.support.hand import FORWARD, HandOn
 from tests.support.protection import Protection
 from tests.support.robot_harness import RobotHarness
 
@@ -284,3 +285,17 @@ def test_a_pattern_may_go_on_with_late_scans() -> None:
     harness.ask("stop")
     harness.advance(0.1)
     assert sensors.permitted_delay == 0.0
+
+
+def test_what_a_pattern_is_permitted_a_hand_above_it_is_not() -> None:
+    harness = make_harness()
+    sensors = harness.robot._sensors
+    run_pattern(harness, "patient")
+    hand = HandOn(harness)
+    hand.take()
+    hand.drive(0.3)
+    assert harness.twist == FORWARD
+    assert sensors.permitted_delay == 0.0
+    hand.release()
+    harness.advance(0.1)
+    assert sensors.permitted_delay == 0.4

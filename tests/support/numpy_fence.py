@@ -56,12 +56,23 @@ class NumpyFence(Fence):
         need = error + self._margin
         turn_error = context.anchor.yaw_error + ODOMETRY_SHARE
         present = float(self.clearances(np.array([[pose.x, pose.y]]))[0])
+        poses = [pose]
+        if present < error:  # the robot may be outside
+            for way in np.arange(8) * math.pi / 4.0:
+                x = pose.x + error * math.cos(way)
+                y = pose.y + error * math.sin(way)
+                poses.append(Pose(x, y, pose.yaw))
+
+        def are_permitted(twists: Array) -> NDArray[np.bool_]:
+            each = [self._are_permitted(twists, one, speeds, need, turn_error) for one in poses]
+            return np.asarray(np.all(each, axis=0))
+
         wanted = np.array([[requested.linear, requested.lateral, requested.angular]])
-        if self._are_permitted(wanted, pose, speeds, present, need, turn_error)[0]:
+        if are_permitted(wanted)[0]:
             return requested
         shares = self._even if is_even else self._shares
         tried = wanted * shares[:, [0, 0, 1]]
-        is_permitted = self._are_permitted(tried, pose, speeds, present, need, turn_error)
+        is_permitted = are_permitted(tried)
         if not is_permitted.any():
             return Twist()
         limits = self._limits
@@ -78,7 +89,6 @@ class NumpyFence(Fence):
         twists: Array,
         pose: Pose,
         speeds: Array,
-        present: float,
         need: float,
         turn_error: float,
     ) -> NDArray[np.bool_]:
@@ -88,11 +98,11 @@ class NumpyFence(Fence):
             twists: (n, 3) speeds ahead, left, and turn of the commands.
             pose: at which the command takes effect.
             speeds: (3,) of the base then.
-            present: m, the clearance at the pose.
             need: m, the clearance that the errors and the margin need.
             turn_error: rad by which the direction of the simulated motion may be wrong.
         """
         n = len(twists)
+        present = float(self.clearances(np.array([[pose.x, pose.y]]))[0])
         # 1. Four stops: from the command with both brakes, with one ideal brake each, and from the
         # speeds of the base.
         begins = np.concatenate((twists, twists, twists, np.broadcast_to(speeds, (n, 3))))

@@ -162,7 +162,9 @@ class Barrier:
 
     def hear(self, diagonal: float) -> None:
         """Take in the longest diagonal in m of the platforms of all peers; inf: not known."""
-        self._feasible.near.hear(diagonal)
+        if diagonal != self._feasible.near.longest_peer:
+            self._feasible.near.hear(diagonal)
+            self._feasible.situation.is_known = False
         if self._walls is not None:
             self._walls.hear(diagonal)
 

@@ -191,9 +191,8 @@ class NearObstacles:
 
     def hear(self, diagonal: float) -> None:
         """Take in the longest diagonal in m of the platforms of all peers; inf: not known."""
-        if diagonal != self.longest_peer:
-            self.longest_peer = diagonal
-            self._has_surfaces = False
+        self.longest_peer = diagonal
+        self._has_surfaces = False
 
     def set_bearings(self, bearings: Array) -> None:
         """Take the rays of other bearings; their directions are found when they are needed."""

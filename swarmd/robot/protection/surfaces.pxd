@@ -2,14 +2,14 @@
 
 cimport cython
 
-cdef double SURFACE_SPACING, WIDE_SURFACE, PEER_RESERVE
+cdef double SURFACE_SPACING, WIDE_SURFACE, PEER_RESERVE, BOX_FACTOR
 cdef Py_ssize_t MEAN_RAYS, EDGE_RAYS
 cdef double MEAN_BELOW, _SURELY_NEAR
 
 @cython.locals(
     i=cython.Py_ssize_t, begin=cython.Py_ssize_t, start=cython.Py_ssize_t, at=cython.Py_ssize_t,
-    end=cython.Py_ssize_t, is_wide=cython.bint, width=cython.double, reserve=cython.double, neighbours=cython.Py_ssize_t,
-    near_ends=cython.Py_ssize_t
+    end=cython.Py_ssize_t, is_wide=cython.bint, width=cython.double, reserve=cython.double, widest_peer=cython.double,
+    neighbours=cython.Py_ssize_t, near_ends=cython.Py_ssize_t
 )
 cdef int find_surface_gaps(
     double[::1] x, double[::1] y, double[::1] gap, Py_ssize_t count, Outline outline,

@@ -6,6 +6,8 @@ obstacles (envelope.py). Units: m, in the base frame.
 
 from __future__ import annotations
 
+import math
+
 from swarmd.core.cython_shadow import NAN, Doubles, fabs, hypot
 from swarmd.robot.protection.outline import Outline
 
@@ -18,6 +20,10 @@ PEER_RESERVE = 0.03
 """m that the gap to a wide surface is taken to be less if the surface may be a peer that was heard.
 Walls are flat, but the corners of a peer point at the robot: the mean place of returns is up to
 1.3 cm too far there, noise not included."""
+BOX_FACTOR = math.sqrt(2.0)
+"""The width of a surface over the diagonal of the body that it shows, at most: the box around a
+body that is turned by 45 degrees is wider than the body is long. The returns of a TurtleBot 4 of
+0.488 m have a width of up to 0.55 m, those of two that stand corner to corner of 0.5 to 0.6 m."""
 MEAN_RAYS = 5
 """Returns to either side that give the mean place of a return, at most: the noise of one ray (sd
 1 cm) becomes 0.3 cm. Before an edge that points at the robot the mean is too far: a TurtleBot 4 by
@@ -47,7 +53,7 @@ def find_surface_gaps(
     The first and the last run are one surface if their ends are neighbours. The width of a surface
     is the diagonal of the box along the axes of the base around its returns. The gap is that of the
     mean place of the return and its neighbours, as many to the left as to the right; less by
-    PEER_RESERVE on a surface that is no wider than the longest peer.
+    PEER_RESERVE on a surface that is no wider than the longest peer can make it.
 
     Args:
         x, y, gap: of the first `count` near returns of a scan, in the order of their rays.
@@ -56,6 +62,7 @@ def find_surface_gaps(
         longest_peer: m, the longest diagonal of a peer that was heard; 0: none.
         surface_gap: the result.
     """
+    widest_peer = BOX_FACTOR * longest_peer
     begin = 0
     start = 0
     # 1. The first return behind a step from one surface to the next, so that no run is cut.
@@ -82,7 +89,7 @@ def find_surface_gaps(
             end += 1
         width = hypot(high_x - low_x, high_y - low_y)
         is_wide = width >= WIDE_SURFACE
-        reserve = 0.0 if width > longest_peer else PEER_RESERVE
+        reserve = 0.0 if width > widest_peer else PEER_RESERVE
         for i in range(begin, end):
             at = (start + i) % count
             surface_gap[at] = gap[at] - reserve if is_wide else NAN

@@ -181,6 +181,39 @@ def test_a_robot_that_joins_later_waits_at_its_start_pose() -> None:
     assert speeds(trace)[-1, 0] > 0.1
 
 
+def test_a_halted_robot_hears_who_joined_meanwhile() -> None:
+    """Its lidar sees no Waffle Pi: the finding is how it shows that it knows of one."""
+    run = Lockstep(
+        scenario_of(
+            {
+                "duration": 3.0,
+                "groups": {
+                    "a": {"platform": "burger", "count": 1, "prefix": "b"},
+                    "z": {"platform": "waffle_pi", "count": 1, "prefix": "w"},
+                },
+                "start": {"layout": "row", "spacing": 2.0},
+                "accepts_unseen": ["waffle_pi"],
+                "accepts_faster": ["waffle_pi"],
+                "events": [
+                    {"at": 0.5, "fault": {"process": "frozen"}, "robots": ["b-01"], "for": 1.0},
+                    {"at": 1.0, "join": ["w-01"]},
+                ],
+            }
+        ),
+        1,
+    )
+
+    def found() -> set[tuple[str, str]]:
+        shell = run.shells[0]
+        assert shell is not None
+        return {(one.robot, one.kind) for one in shell.robot.status(run.world.time).peers}
+
+    run.advance(0.4)
+    assert found() == set()
+    run.advance(1.6)
+    assert ("w-01", "unseen") in found()
+
+
 def test_parameters_of_a_run_and_of_param_reach_the_pattern() -> None:
     trace = simulate_run(events({"at": 2.0, "param": {"speed": 0.05}, "targets": ["r-01"]}), 0)
     late = speeds(trace)[at(trace, 3.0) :]

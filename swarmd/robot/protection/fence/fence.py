@@ -8,6 +8,11 @@ outside, may only drive inwards: the clearance falls at no step of a stop. An er
 can make a stop along the fence look like a stop inwards. So the clearance must also rise by more
 than this error. Zero is always permitted.
 
+A stop that comes nearer to the nearest edge of one place may lead away from the nearest edge of a
+place beside it. So a robot that may be outside, for its clearance is below the error, may only
+drive inwards from each place at which it may be: the predicted place, and _AROUND places at the
+distance of the error from it.
+
 The fence uses a circle in place of the outline: the smallest circle around the axle that contains
 the outline. So the clearance does not depend on the yaw: a robot at the fence can turn and leave.
 
@@ -36,6 +41,7 @@ from swarmd.robot.protection.settings import ODOMETRY_SHARE, BarrierSettings
 _SHARES = 8  # a limited command has shares of the request in steps of 1 / _SHARES
 _SPACING = 0.1  # m between the points that stand for the fence
 _GRID = 40  # cells along each side, in the search for the widest place
+_AROUND = 8  # places around the predicted place of a robot that may be outside
 _HALF_STEP = 0.1  # share of the longest stop: more than the half of a step that a stop adds
 
 
@@ -64,6 +70,9 @@ class Fence:
         columns = ((part, ones), (ones, part), (part, part), (part, zeros), (zeros, part))
         shares = np.unique(np.concatenate([np.stack(one, axis=1) for one in columns]), axis=0)
         self._shares = shares[(shares > 0.0).any(axis=1)]
+        angles = 2.0 * math.pi * np.arange(_AROUND) / _AROUND
+        around = np.stack((np.cos(angles), np.sin(angles)), axis=1)
+        self._offsets = np.concatenate((np.zeros((1, 2)), around))  # over the error of the place
         self._even = part[::-1][:-1, None] * np.ones(2)  # shares of both speeds alike, from 1 down
 
     # Geometry
@@ -136,15 +145,17 @@ class Fence:
         shares = self._even if is_even else self._shares
         linear_size = math.hypot(requested.linear, requested.lateral) / limits.linear
         turn_size = abs(requested.angular) / limits.angular
+        places = self._places(pose, error)
         index = fence_stops.nearest_permitted(
             self._edges,
             shares,
             (requested.linear, requested.lateral, requested.angular),
             (linear_size, turn_size),
-            (pose.x, pose.y, pose.yaw),
+            places,
+            pose.yaw,
             speeds,
             self._braking,
-            (self.radius, self._clearance(pose), need, turn_error),
+            (self.radius, need, turn_error, error if len(places) > 1 else 0.0),
         )
         if index < 0:  # no share is permitted
             return Twist()
@@ -195,6 +206,18 @@ class Fence:
         room = self._clearance(pose)
         self._known = (pose.x, pose.y, room)
         return room
+
+    def _places(self, pose: Pose, error: float) -> Array:
+        """(n, 3) x, y and clearance in m of the places at which a command must be permitted.
+
+        The first place is that of the pose. A robot that is inside has no further place: `need`
+        contains its error.
+        """
+        present = self._clearance(pose)
+        if present >= error:
+            return np.array([[pose.x, pose.y, present]])
+        places = (pose.x, pose.y) + error * self._offsets
+        return np.column_stack((places, self.clearances(places)))
 
     def _clearance(self, pose: Pose) -> float:
         return float(fence_stops.clearance(self._edges, pose.x, pose.y, self.radius))

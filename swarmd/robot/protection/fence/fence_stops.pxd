@@ -29,11 +29,14 @@ cdef _nearby(double[:, ::1] edges, double x, double y, double way)
 @cython.final
 @cython.auto_pickle(False)
 cdef class _Stops:
-    cdef double[:, ::1] edges, near
+    cdef double[:, ::1] edges, near, places
     cdef Py_ssize_t count
     cdef double radius, x, y, yaw, present, need, turn_error, speed_ahead, speed_left, speed_turn
     cdef double braking, turning
+    @cython.locals(i=cython.Py_ssize_t)
     cdef bint permits(self, double ahead, double left, double turn) noexcept
+
+    cdef bint permits_here(self, double ahead, double left, double turn) noexcept
 
     @cython.locals(i=cython.Py_ssize_t, is_clear=cython.bint, has_fallen=cython.bint)
     cdef bint is_inside(
@@ -43,6 +46,6 @@ cdef class _Stops:
 
 @cython.locals(
     table=cython.double[:, ::1], given=cython.double[:, ::1], best=cython.Py_ssize_t,
-    i=cython.Py_ssize_t, share=cython.double, turn_share=cython.double
+    i=cython.Py_ssize_t, share=cython.double, turn_share=cython.double, spread=cython.double
 )
-def nearest_permitted(edges, shares, request, sizes, pose, speeds, brakings, room)
+def nearest_permitted(edges, shares, request, sizes, places, double yaw, speeds, brakings, room)

@@ -106,16 +106,17 @@ def _nearby(edges: Table, x: float, y: float, way: float) -> tuple[Any, cython.P
 
 @cython.cclass
 class _Stops:
-    """Simulated stops of one robot, from one pose."""
+    """Simulated stops of one robot, from one pose or from several places with one yaw."""
 
     edges: Table
     near: Table  # the edges that a stop can come near, `count` of them
     count: int
+    places: Table  # x, y, and the clearance in m: the places at which the robot may be
     radius: float  # m, of the circle around the axle
-    x: float
+    x: float  # of the place that `is_inside` judges
     y: float
     yaw: float
-    present: float  # m, the clearance at this pose
+    present: float  # m, the clearance at this place
     need: float  # m, the clearance that errors and margin need
     turn_error: float  # rad by which the direction of the motion may be wrong
     speed_ahead: float  # of the base
@@ -126,7 +127,17 @@ class _Stops:
     motion: StopMotion
 
     def permits(self, ahead: float, left: float, turn: float) -> bool:
-        """True if all stops from a command are inside.
+        """True if all stops from a command are inside, at each of the places."""
+        for i in range(len(self.places)):
+            self.x = self.places[i, 0]
+            self.y = self.places[i, 1]
+            self.present = self.places[i, 2]
+            if not self.permits_here(ahead, left, turn):
+                return False
+        return True
+
+    def permits_here(self, ahead: float, left: float, turn: float) -> bool:
+        """True if all stops from a command are inside, at the present place.
 
         There are four stops. Three stops begin at the command: with both brakes as weak as assumed,
         with an ideal linear brake, and with an ideal angular brake. A stronger linear or angular
@@ -222,7 +233,8 @@ def nearest_permitted(
     shares: Array,
     request: tuple[float, float, float],
     sizes: tuple[float, float],
-    pose: tuple[float, float, float],
+    places: Array,
+    yaw: float,
     speeds: tuple[float, float, float],
     brakings: tuple[float, float],
     room: tuple[float, float, float, float],
@@ -238,10 +250,13 @@ def nearest_permitted(
         request: m/s ahead, m/s to the left, rad/s.
         sizes: the linear and the angular speed of the request, each over its limit. Distances from
             the request are measured in these numbers.
-        pose: x and y in m, yaw in rad, when the command takes effect.
+        places: (m, 3) x and y in m, and the clearance in m, of the places at which the robot may be
+            when the command takes effect. A command must be permitted at each place.
+        yaw: rad, at this time.
         speeds: of the base at this time, as in `request`.
         brakings: m/s2 and rad/s2.
-        room: `radius`, `present`, `need` and `turn_error` of `_Stops`.
+        room: `radius`, `need` and `turn_error` of `_Stops`, and the greatest distance in m of a
+            place from the first place.
     """
     table: Table = view(edges)
     given: Table = view(shares)
@@ -255,14 +270,18 @@ def nearest_permitted(
     stops.speed_ahead, stops.speed_left, stops.speed_turn = speeds
     stops.braking, stops.turning = brakings
     stops.edges = table
-    stops.x, stops.y, stops.yaw = pose
-    stops.radius, stops.present, stops.need, stops.turn_error = room
-    # 1. The edges within the way of the longest stop.
+    stops.places = view(places)
+    stops.yaw = yaw
+    stops.radius, stops.need, stops.turn_error, spread = room
+    # 1. The edges within the way of the longest stop from each place.
     top_speed = max(hypot(ahead, left), hypot(stops.speed_ahead, stops.speed_left))
     top_turn = max(fabs(turn), fabs(stops.speed_turn))
     longest_s = max(top_speed / stops.braking, top_turn / stops.turning)
     stops.near, stops.count = _nearby(
-        table, stops.x, stops.y, top_speed * (DECISION_PERIOD + longest_s)
+        table,
+        stops.places[0, 0],
+        stops.places[0, 1],
+        spread + top_speed * (DECISION_PERIOD + longest_s),
     )
     if stops.permits(ahead, left, turn):
         return len(given)

@@ -30,6 +30,10 @@ BOUND = 0.0
 """m that the outline of a robot within the assumptions may be outside."""
 GROWTH = 0.002
 """m that the distance of a robot outside may grow by the rounding of twelve steps of a stop."""
+ERROR, YAW_ERROR = 0.03, 0.03  # m and rad: bounds of the errors of poses that are drawn anew
+SLACK = 0.005
+"""m that the distance of a robot outside may grow with these errors, since the fence tries eight
+places around the robot, not all."""
 SQUARE = FenceSettings(frame="w", polygon=[(-2.0, -2.0), (2.0, -2.0), (2.0, 2.0), (-2.0, 2.0)])
 BURGER = load_platform("burger")
 
@@ -214,6 +218,99 @@ def test_a_robot_that_starts_outside_only_comes_nearer(seed: int, convex: bool) 
         base.drive(command)
     assert np.diff(distances).max() <= GROWTH
     assert max(distances) - distances[0] <= GROWTH
+
+
+def growth_outside(
+    made: FenceSettings,
+    platform: Platform,
+    start: Array,
+    rng: np.random.Generator,
+    asks: Callable[[int, Array], Twist],
+) -> float:
+    """m by which the distance to the fence grew at most, over the least distance before.
+
+    The poses have errors of up to ERROR and YAW_ERROR, drawn anew each 0.1 s.
+    """
+    fence, known = Fence(made, platform), FencePose(made, TIMEOUT)
+    base, command = Base(platform, start, rng), Twist()
+    least, growth = math.inf, 0.0
+    for number in range(300):
+        now = number * TICK
+        known.on_odometry(base.reading(now))
+        if number % 2 == 0:
+            way, far = rng.uniform(-math.pi, math.pi), ERROR * math.sqrt(rng.uniform())
+            x, y = base.pose[:2] + far * np.array([math.cos(way), math.sin(way)])
+            yaw = base.pose[2] + rng.uniform(-YAW_ERROR, YAW_ERROR)
+            told = SharedPose(now, Pose(float(x), float(y), float(yaw)), ERROR, YAW_ERROR, "w")
+            known.on_pose(told, now, (ERROR, YAW_ERROR), now)
+        context = DecisionContext(now, 0.0, base.reading(now), 0.0, anchor=known.anchor(now))
+        asked = asks(number, base.pose)
+        command = Twist() if now > known.until else fence.limit(asked, context, command)
+        base.drive(command)
+        distance = -float(fence.clearances(base.pose[None, :2])[0])
+        least = min(least, max(distance, 0.0))
+        growth = max(growth, distance - least)
+    return growth
+
+
+def towards(pose: Array, way: float) -> Twist:
+    """The command at 0.1 m/s in the direction `way` of the frame of the fence."""
+    return Twist(0.1 * math.cos(way - pose[2]), 0.0, 0.1 * math.sin(way - pose[2]))
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("corner", [25.0, 70.0, 115.0])
+@pytest.mark.parametrize("is_kept_out", [False, True])
+def test_a_robot_outside_drives_no_farther_into_a_corner(
+    seed: int, corner: float, is_kept_out: bool
+) -> None:
+    """The command must lead inwards from each place within the declared error.
+
+    The robot has equal distances to the two edges of a corner: of the outer polygon, so that the
+    outline is across both edges, or of an area to keep out of, in which the robot is. It asks for a
+    direction 10 degrees off one edge that is inwards by this edge, and outwards by the other. The
+    other edge is the nearer one by the true pose, so that a false pose alone permits the command.
+    The two directions are 45, 90 or 135 degrees from each other, and the base looks along one: so
+    its two linear speeds are equal, or one is zero, and it brakes on a straight line.
+    """
+    rng, platform = np.random.default_rng(seed), load_platform("rosbot_xl")
+    half = math.radians(0.5 * corner)
+    ends = [(6.0 * math.cos(way), 6.0 * math.sin(way)) for way in (-half, half)]
+    wedge = [(0.0, 0.0), *ends]
+    made = FenceSettings(frame="w", polygon=wedge)
+    away = Fence(made, platform).radius - 0.1
+    if is_kept_out:
+        outer = [(-9.0, -9.0), (9.0, -9.0), (9.0, 9.0), (-9.0, 9.0)]
+        made = FenceSettings(frame="w", polygon=outer, keep_out=[wedge])
+        away = 0.3
+    aside = half + math.radians(10.0)
+    middle = 0.0 if is_kept_out else math.pi
+    start = np.array([away / math.sin(half), 0.0, middle + aside])
+
+    def along_the_farther_edge(number: int, pose: Array) -> Twist:
+        side = -1.0 if pose[1] > 0.0 else 1.0
+        return towards(pose, middle + side * aside)
+
+    growth = growth_outside(made, platform, start, rng, along_the_farther_edge)
+    assert growth <= SLACK
+
+
+@settings(max_examples=examples(30), deadline=None)
+@given(seed=st.integers(0, 10_000), convex=st.booleans())
+def test_a_robot_outside_by_poses_with_errors_comes_no_farther_out(seed: int, convex: bool) -> None:
+    """It starts within 0.3 m of the fence, and asks for random directions."""
+    rng, platform = np.random.default_rng(seed), load_platform("rosbot_xl")
+    made = FenceSettings(frame="w", polygon=polygon(rng, convex=convex))
+    places = rng.uniform(-3.0, 3.0, (200, 2))
+    clearances = Fence(made, platform).clearances(places)
+    start = places[(clearances > -0.3) & (clearances < 0.0)][0]
+    ways = rng.uniform(-math.pi, math.pi, 300)
+    pose = np.array([*start, rng.uniform(-math.pi, math.pi)])
+
+    def anywhere(number: int, pose: Array) -> Twist:
+        return towards(pose, ways[number // 6])
+
+    assert growth_outside(made, platform, pose, rng, anywhere) <= SLACK
 
 
 def context_at(x: float, y: float, yaw: float, twist: Twist = Twist()) -> DecisionContext:  # noqa: B008  # it is frozen
