@@ -29,10 +29,13 @@ def cells(
     ]
 
 
-def plan(robot_hours: float, scenes: Sequence[Scene], seeds: Iterable[int]) -> list[Task]:
+def plan(
+    robot_hours: float, scenes: Sequence[Scene], seeds: Iterable[int], *, is_whole: bool = False
+) -> list[Task]:
     """Rounds of all scenes, each with a new seed, until the robot-hours are reached.
 
-    The project's own patterns run in every other round only, because they avoid others.
+    The project's own patterns run in every other round only, because they avoid others. `is_whole`:
+    the first round has all scenes, however long they take.
     """
     tasks: list[Task] = []
     planned = 0.0
@@ -40,7 +43,7 @@ def plan(robot_hours: float, scenes: Sequence[Scene], seeds: Iterable[int]) -> l
         for scene in scenes:
             if scene.of.is_own and number % 2:
                 continue
-            if planned >= robot_hours:
+            if planned >= robot_hours and (number or not is_whole):
                 return tasks
             tasks.append(Task(scene, seed))
             planned += scene.protected * scene.duration / HOUR

@@ -106,6 +106,9 @@ def test_a_plan_has_the_hours_asked_for_over_all_scenes_with_fresh_seeds() -> No
     scenes = hours.cells(("goals", "ram", "drive"), ("burger", "mixed"), ("body", "real"),
                          "barrier", 600.0)  # fmt: skip
     assert len(scenes) == 12
+    once = hours.plan(0.0, scenes, range(1000, 2000), is_whole=True)
+    assert [task.scene for task in once] == scenes
+    assert hours.plan(0.0, scenes, range(1000, 2000)) == []
     tasks = hours.plan(100.0, scenes, range(1000, 2000))
     planned = sum(task.scene.protected * task.scene.duration / 3600.0 for task in tasks)
     assert 100.0 <= planned < 102.0

@@ -295,24 +295,6 @@ def test_a_robot_outside_drives_no_farther_into_a_corner(
     assert growth <= SLACK
 
 
-@settings(max_examples=examples(30), deadline=None)
-@given(seed=st.integers(0, 10_000), convex=st.booleans())
-def test_a_robot_outside_by_poses_with_errors_comes_no_farther_out(seed: int, convex: bool) -> None:
-    """It starts within 0.3 m of the fence, and asks for random directions."""
-    rng, platform = np.random.default_rng(seed), load_platform("rosbot_xl")
-    made = FenceSettings(frame="w", polygon=polygon(rng, convex=convex))
-    places = rng.uniform(-3.0, 3.0, (200, 2))
-    clearances = Fence(made, platform).clearances(places)
-    start = places[(clearances > -0.3) & (clearances < 0.0)][0]
-    ways = rng.uniform(-math.pi, math.pi, 300)
-    pose = np.array([*start, rng.uniform(-math.pi, math.pi)])
-
-    def anywhere(number: int, pose: Array) -> Twist:
-        return towards(pose, ways[number // 6])
-
-    assert growth_outside(made, platform, pose, rng, anywhere) <= SLACK
-
-
 def context_at(x: float, y: float, yaw: float, twist: Twist = Twist()) -> DecisionContext:  # noqa: B008  # it is frozen
     known = FencePose(SQUARE, TIMEOUT)
     odometry = Odometry(0.0, Pose(0.0, 0.0, 0.0), twist)
