@@ -54,14 +54,14 @@ def _note_nearest(best: Array, trace: Trace, span: slice, platform: str, arena: 
     nearest = np.maximum(walls, 0.0).min(axis=(2, 3))
     np.minimum(best, np.fmin.reduce(nearest, axis=1, initial=np.inf), out=best)
     instants = np.indices(pose.shape[:2])[0]
-    for centre, size, distance in obstacles(trace, span, arena):
+    for centre, size, distance in _obstacles(trace, span, arena):
         away = np.hypot(*np.moveaxis(pose[..., :2] - centre, -1, 0)) - radius(shape) - size
         is_near = away < best[:, None]  # false for an obstacle that is not in the arena: NaN
         distances = distance(corners[is_near], instants[is_near])
         np.minimum.at(best, instants[is_near], distances)
 
 
-def obstacles(trace: Trace, span: slice, arena: Arena) -> Iterator[tuple[Array, float, Measure]]:
+def _obstacles(trace: Trace, span: slice, arena: Arena) -> Iterator[tuple[Array, float, Measure]]:
     """Yield each obstacle: its centre (2,) or (T, 1, 2), its radius, and a distance function.
 
     The radius is that of a circle around the centre that holds the obstacle.

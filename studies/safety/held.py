@@ -23,11 +23,11 @@ from studies.safety.driven import faults
 from studies.safety.judge import collisions
 from swarmd.core.values import Array
 from swarmd.sim.lockstep.lockstep import simulate_run
-from swarmd.sim.metrics.clearance import Measure, obstacles
-from swarmd.sim.metrics.window import arena_of
+from swarmd.sim.metrics.window import arena_of, tall_boxes
 from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.scenarios.scenariofile import scenario_of
 from swarmd.sim.trace import Trace
+from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.geometry import gaps, transform
 
 FIRST_SEED = 14_000
@@ -148,7 +148,6 @@ def _held(trace: Trace) -> Iterator[list[bool]]:
     arena = arena_of(trace)
     if trace.requested is None or arena is None:
         raise ValueError("a trace without requested commands or arena; wanted: one of lockstep")
-    things = [distance for _, _, distance in obstacles(trace, slice(None), arena)]
     room = 0.5 * np.array((arena.length, arena.width))
     asks = np.abs(trace.requested).max(axis=2) > 0.0
     starts = np.arange(trace.t[0], trace.t[-1] - WINDOW + _ROUNDING, WINDOW)
@@ -159,43 +158,43 @@ def _held(trace: Trace) -> Iterator[list[bool]]:
         pose = trace.pose[is_in]
         off = np.hypot(*np.moveaxis(pose[:, :, :2] - pose[0, :, :2], -1, 0)).max(axis=0)
         wants = asks[is_in].mean(axis=0) >= ASKS
+        outlines = [transform(trace.footprint(row), pose[0, row]) for row in range(len(trace.ids))]
+        outlines += _obstacles(trace, arena, int(np.argmax(is_in)))
         yield [
             bool(off[row] < STANDS)
             and bool(wants[row])
             and row not in touched
-            and _has_floor(trace, int(np.argmax(is_in)), row, things, room)
+            and _has_floor(pose[0], row, outlines, room)
             for row in range(len(trace.ids))
         ]
 
 
-def _has_floor(
-    trace: Trace, instant: int, row: int, things: Sequence[Measure], room: Array
-) -> bool:
-    """Whether robot `row` could move WAY m ahead or back at an instant.
+def _obstacles(trace: Trace, arena: Arena, instant: int) -> list[Array]:
+    """The outlines of boxes, inner walls and poles that are in the arena at an instant."""
+    found = [box.corners for _, box in arena.fixed] + [pole.corners for pole in arena.poles]
+    movable = tall_boxes(trace)
+    if movable is not None:
+        poses = movable[1][instant]
+        found += [transform(shape, pose) for shape, pose in zip(movable[0], poses, strict=True)]
+    return [outline for outline in found if np.isfinite(outline).all()]
 
-    `things`: the distances from obstacles. `room`: (2,) m, half of the sides of the arena.
+
+def _has_floor(pose: Array, row: int, outlines: Sequence[Array], room: Array) -> bool:
+    """Whether robot `row` of the poses (n, 3) could move WAY m ahead or back.
+
+    `outlines`: of all robots, then of obstacles. `room`: (2,) m, half of the sides of the arena.
     """
-    pose = trace.pose[instant]
-    others = [
-        transform(trace.footprint(other), pose[other]) for other in range(len(pose)) if other != row
-    ]
+    own = outlines[row]
+    others = [outline for number, outline in enumerate(outlines) if number != row]
+    ahead = np.array((math.cos(pose[row, 2]), math.sin(pose[row, 2])))
 
     def is_free(way: float) -> bool:
-        outline = transform(trace.footprint(row), _moved(pose[row], way))
-        at = np.array([instant])
-        return (
-            bool((np.abs(outline).max(axis=0) < room).all())
-            and all(float(distance(outline[None], at)[0]) > 0.0 for distance in things)
-            and all(float(gaps(outline, other)) > 0.0 for other in others)
-        )
+        outline = own + way * ahead
+        is_inside = bool((np.abs(outline).max(axis=0) < room).all())
+        return is_inside and all(float(gaps(outline, other)) > 0.0 for other in others)
 
     parts = np.linspace(1.0 / _STEPS, 1.0, _STEPS).tolist()
     return any(all(is_free(way * part) for part in parts) for way in (WAY, -WAY))
-
-
-def _moved(pose: Array, way: float) -> Array:
-    ahead = np.array((math.cos(pose[2]), math.sin(pose[2]), 0.0))
-    return np.asarray(pose + way * ahead)
 
 
 def perform(run: Run) -> Traced[Found]:
