@@ -67,6 +67,13 @@ _FAULTS = (
 """One after the other, for 1.5 s each."""
 
 
+_CORRIDOR = {
+    "arena.boxes": [{"at": [0.0, side * 1.1725], "size": [0.6, 2.0]} for side in (1.0, -1.0)],
+    "platforms.burger.protection.barrier.walls_stand": None,
+}
+"""A corridor of 2.5 bodies, 0.6 m long; no wall is assumed to stand."""
+
+
 def _mode(mode: str) -> Scene:
     platform = {"extends": "burger", "protection": {"mode": mode}}
     return Scene(_walkers(platforms={"burger": platform}))
@@ -80,6 +87,7 @@ SCENES: Mapping[str, Scene] = MappingProxyType(
         "protection off": _mode("off"),
         "fence": Scene(_walkers(fence=_FENCE)),
         "walls that stand": Scene("doorway"),
+        "two that meet in a corridor": Scene("doorway", _CORRIDOR, seconds=30.0),
         "faults": Scene(
             _walkers(
                 events=[

@@ -10,7 +10,7 @@ cdef class RightOfWay:
     cdef readonly object state
     cdef double _linear_limit, _angular_limit, _lead, _x, _y, _yaw
     cdef public double _passed_at
-    cdef double _speed, _sign, _chosen_at, _wanted_yaw
+    cdef double _speed, _sign, _chosen_at, _wanted_yaw, _lean
     cdef readonly dict _sides
     cdef double _progress_along, _progress_at
     cdef bint _is_backing
@@ -45,16 +45,22 @@ cdef class RightOfWay:
     cdef _choose(self, double x, double y, double now)
     cdef _judge_traffic(self, place, others, now)
     cdef _decide_state(self, place, others, now, safe_for, Points points)
-    cdef _update_progress(self, place, now)
+    cdef _update_progress(self, place, traffic, now)
     cdef _next_state(self, place, traffic, now)
     cdef _giving_way(self, place)
 
     @cython.locals(
-        bearing=cython.double, error=cython.double, behind=cython.double, turn=cython.double
+        bearing=cython.double, error=cython.double, behind=cython.double, turn=cython.double,
+        is_in_corridor=cython.bint, lean=cython.double
     )
     cdef _request(self, place, safe_for)
     cdef _find_middle(self, place, Points points)
     cpdef _fastest(self, twist, safe_for)
     cdef _drive(self, goal_along, goal_aside, place)
 
+@cython.locals(
+    left=cython.Py_ssize_t, right=cython.Py_ssize_t, left_sum=cython.double,
+    right_sum=cython.double, i=cython.Py_ssize_t
+)
+cdef double _older_to_the_right(const double[::1] ages, const double[::1] bearings)
 cdef inline _moved(double x, double y, double base_x, double base_y, double c, double s)

@@ -2,8 +2,9 @@
 
 A robot remembers the openings in walls that its scans show (openings.py). If the command that the
 pattern requests leads into a wall, the robot drives to the nearest opening in that wall. The robot
-waits beside an opening while other robots come out of the opening. A robot in an opening that makes
-no progress backs out, and gives way for a random time.
+waits beside an opening while other robots come out of the opening. When two robots meet within an
+opening, the robot that is deeper in goes on and the other robot backs out, and gives way for a
+random time. In a corridor the robot keeps away from the wall whose rays are older.
 
 The result replaces the command that the pattern requested. Avoidance, recovery and protection
 treat the result as a requested command.
@@ -23,8 +24,10 @@ from msgspec.structs import astuple, replace
 from swarmd.core import cython_shadow as cython
 from swarmd.core.angles import PI, TURN
 from swarmd.core.avoided import Avoided, WayState
+from swarmd.core.buffers import view
 from swarmd.core.cython_shadow import (
     INFINITY,
+    Doubles,
     atan2,
     copysign,
     cos,
@@ -95,6 +98,7 @@ class _Traffic(Struct, frozen=True, gc=False):
 
     is_busy: bool = False  # a robot comes out
     is_behind: bool = False  # another robot that wants to pass is nearer: this robot is behind
+    is_met: bool = False  # this robot is in the opening; a robot comes towards it from deeper in
     is_close: bool = False  # another robot that goes in is close ahead
     is_queued: bool = False  # a robot that has not come out waits on the side of this robot
 
@@ -139,6 +143,7 @@ class RightOfWay:
     _is_lined_up: bool
     # m to the left: the middle measured between the posts less that of the sightings; None before.
     _middle_offset: float | None
+    _lean: float  # m to the left of the axis at which the robot drives in a corridor
 
     def __init__(
         self, clearance: Clearance, limits: Limits, seed: str, returns: ScanReturns | None = None
@@ -183,6 +188,7 @@ class RightOfWay:
         self._busy_at = -INFINITY
         self._is_backing = False
         self._is_lined_up = False
+        self._lean = 0.0
 
     @property
     def is_settled(self) -> bool:
@@ -203,8 +209,13 @@ class RightOfWay:
         return Avoided(bearing, math.hypot(x, y), self.state)
 
     def observe(self, scan: Scan, offset: tuple[float, float], context: DecisionContext) -> None:
-        """Take in a conditioned scan; `offset`: m, the place of the sensor in the base frame."""
+        """Take in a conditioned scan; `offset`: m, the place of the sensor in the base frame.
+
+        Sets `_lean`.
+        """
         odometry = context.odometry
+        if self._opening is not None and scan.ages is not None:
+            self._lean = _way.lean * _older_to_the_right(view(scan.ages), view(scan.bearings))
         # Read with each scan: the tracker takes in the scan next.
         tracks: tuple[Track, ...] = () if self._surroundings is None else self._surroundings.tracks
         if odometry is None or context.odometry_age is None:
@@ -389,6 +400,7 @@ class RightOfWay:
         """
         is_busy = False
         is_behind = False
+        is_met = False
         is_close = False
         is_queued = False
         for id, along, aside in map(astuple, others):
@@ -418,11 +430,14 @@ class RightOfWay:
             backs_out = farthest > -_way.in_before and along < farthest - _way.backs_out
             is_ahead = along > place.along
             if came_from == _OTHER_SIDE or backs_out:
-                # The track comes out. Two robots that meet within the opening both go on until one
-                # of them is stuck: a robot that backed out at once passed no more often.
-                is_met = place.is_in and is_ahead
+                # The track comes out. Compares the m that each robot would have to back out.
+                own_way = place.along + _way.in_before
+                other_way = place.depth + _way.in_before - along
                 is_in_or_through = along < place.depth + _way.in_before
-                if not is_met and (is_in_or_through or along - place.depth < -place.along):
+                if place.is_in and is_ahead:
+                    meets = along - place.along < _way.meeting + place.depth
+                    is_met |= meets and other_way > max(own_way, 0.0)
+                elif is_in_or_through or along - place.depth < -place.along:
                     is_busy = True  # the track is in or through the opening, or nearer to it
                     if is_within:
                         self._within_at[id] = now
@@ -432,7 +447,7 @@ class RightOfWay:
                 )
             elif hypot(along + _way.line_up, aside) < place.to_line_up:
                 is_behind = True  # the track is nearer to the place to line up
-        return _Traffic(is_busy, is_behind, is_close, is_queued)
+        return _Traffic(is_busy, is_behind, is_met, is_close, is_queued)
 
     def _decide_state(
         self,
@@ -465,8 +480,8 @@ class RightOfWay:
         # 2. Judges the traffic. The time to keep clear counts from the last decision with traffic,
         # and is random, so that two robots do not enter together. Then the state.
         traffic = self._judge_traffic(place, others, now)
-        self._update_progress(place, now)
-        if traffic.is_busy or self._is_backing:
+        self._update_progress(place, traffic, now)
+        if traffic.is_met or traffic.is_busy or self._is_backing:
             has_passed = now - self._passed_at < _way.recently
             self._busy_at = now
             if has_passed:
@@ -476,12 +491,14 @@ class RightOfWay:
         self.state = self._next_state(place, traffic, now)
         return self._request(place, safe_for)
 
-    def _update_progress(self, place: _Place, now: float) -> None:
+    def _update_progress(self, place: _Place, traffic: _Traffic, now: float) -> None:
         """Set `_is_backing`, and store where and when the robot last made progress."""
         is_stuck = now - max(self._progress_at, self._chosen_at) > _way.stuck
         has_moved = abs(place.along - self._progress_along) > _way.progress
         if not place.is_in:
             self._is_backing = False
+        elif traffic.is_met:
+            self._is_backing = True
         elif is_stuck:  # tries the other way
             self._is_backing = not self._is_backing
         elif not has_moved:
@@ -495,8 +512,8 @@ class RightOfWay:
         The state before does not count. What the rules remember does, and is updated: whether the
         robot is lined up (on the axis before the opening).
         """
-        # Rule 1: a robot in an opening that made no progress for `stuck` s, as one that has met
-        # another robot, reverses its direction.
+        # Rule 1: a robot in an opening that meets a robot coming towards it backs out until it has
+        # left the opening. A robot that made no progress for `stuck` s reverses its direction.
         if self._is_backing:
             return WayState.BACK
 
@@ -557,7 +574,9 @@ class RightOfWay:
             turn = min(max(remainder(behind, TURN), -_way.back_turn), _way.back_turn)
             return self._fastest(Twist(-_way.back_share * self._speed, turn), safe_for)
         if state is WayState.IN or state is WayState.LINE:
-            return self._fastest(self._drive(place.along + _way.pursuit, 0.0, place), safe_for)
+            is_in_corridor = place.depth > _way.deep and place.along > -_way.lean_from
+            lean = self._lean if is_in_corridor and state is WayState.IN else 0.0
+            return self._fastest(self._drive(place.along + _way.pursuit, lean, place), safe_for)
         if state is WayState.APPROACH:
             return self._drive(place.along + _way.pursuit, 0.0, place)
         if state is WayState.GO:
@@ -641,6 +660,27 @@ class RightOfWay:
             speed = -speed
         turn = min(max(_way.gain * yaw_error, -self._angular_limit), self._angular_limit)
         return Twist(speed * math.pow(max(math.cos(yaw_error), 0.0), 2.0), turn)
+
+
+def _older_to_the_right(ages: Doubles, bearings: Doubles) -> float:
+    """The s by which the rays to the right are older, on average, than those to the left.
+
+    `ages` in s and `bearings` in rad, (n,) each, of a conditioned scan. 0 if one side has no ray.
+    """
+    left = 0
+    right = 0
+    left_sum = 0.0
+    right_sum = 0.0
+    for i in range(len(bearings)):
+        if fabs(bearings[i] - _way.abeam) < _way.abeam_width:
+            left += 1
+            left_sum += ages[i]
+        elif fabs(bearings[i] + _way.abeam) < _way.abeam_width:
+            right += 1
+            right_sum += ages[i]
+    if left == 0 or right == 0:
+        return 0.0
+    return right_sum / right - left_sum / left
 
 
 def _moved(

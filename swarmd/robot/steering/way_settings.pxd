@@ -15,3 +15,4 @@ cdef class WaySettings:
     cdef double aside_far, aside_step, faces, facing, keeps_side, has_side, back_aim, back_turn
     cdef double back_share, backs_to, gain, turn_cost, unknown_speed_share, wrong_by, weight
     cdef double at_post, same_width, posts_behind, posts_ahead, past_posts
+    cdef double meeting, deep, lean, lean_from, abeam, abeam_width

@@ -23,7 +23,7 @@ FAR = 3.0  # m to whatever is behind
 NO_POINTS = np.empty((0, 2))
 
 
-def scan(pose: Pose, depth: float = 0.0) -> Scan:
+def scan(pose: Pose, depth: float = 0.0, ages: Array | None = None) -> Scan:
     """What a lidar sees of a wall at x = 0 with a door, or a corridor, in its middle."""
     angles = BEARINGS + pose.yaw
     with np.errstate(divide="ignore"):
@@ -35,14 +35,15 @@ def scan(pose: Pose, depth: float = 0.0) -> Scan:
     seen = np.where(is_wall, np.minimum(ranges, FAR), FAR)
     is_side = (x > 0.0) & (x < depth)
     seen = np.where(is_side, np.minimum(beside, seen), seen)
-    return Scan(0, 0.0, seen, BEARINGS, 0.1, 3.5)
+    return Scan(0, 0.0, seen, BEARINGS, 0.1, 3.5, ages=ages)
 
 
 class Ride:
     """A robot that stands at places one after the other, each for two scans."""
 
-    def __init__(self, depth: float = 0.0) -> None:
+    def __init__(self, depth: float = 0.0, ages: Array | None = None) -> None:
         self.depth = depth
+        self.ages = ages
         self.way = RightOfWay(ROOM, BASE, "one")
         self.now = 0.0
         self.context = DecisionContext(0.0)
@@ -71,7 +72,7 @@ class Ride:
             odometry = Odometry(self.now, pose, Twist(0.0, turns))
             self.context = context = DecisionContext(self.now, 0.0, odometry, 0.0)
             if tick % 2 == 0:
-                self.way.observe(scan(pose, self.depth), (0.0, 0.0), context)
+                self.way.observe(scan(pose, self.depth, self.ages), (0.0, 0.0), context)
             around = Surroundings(tracks, np.empty((0, 2)))
             asked = self.way.command(
                 requested, context, around, lambda twist: twist, lambda: points
@@ -279,13 +280,33 @@ STATES: dict[str, tuple[list[Step], WayState]] = {
         ],
         WayState.WAIT,
     ),
-    "another comes that is deeper": (
+    "another comes that is 5 cm less deep": (
+        [
+            LINED_UP,
+            Step(-0.05, there={1: (0.3, 0.0)}),
+            Step(-0.05, there={1: (0.1, 0.0)}, seconds=1.5),
+        ],
+        WayState.IN,
+    ),
+    "another comes that is 5 cm deeper": (
         [
             LINED_UP,
             Step(-0.05, there={1: (0.3, 0.0)}),
             Step(-0.05, there={1: (0.0, 0.0)}, seconds=1.5),
         ],
-        WayState.IN,
+        WayState.BACK,
+    ),
+    "another comes that is 25 cm deeper": (
+        [
+            LINED_UP,
+            Step(-0.2, there={1: (0.3, 0.0)}),
+            Step(-0.2, there={1: (-0.05, 0.0)}, seconds=1.5),
+        ],
+        WayState.BACK,
+    ),
+    "another has come that is no more there": (
+        [LINED_UP, Step(-0.2, there={1: (0.1, 0.0)}, seconds=1.5), Step(-0.2, seconds=2.0)],
+        WayState.BACK,
     ),
     "the robot backs out": (
         [LINED_UP, Step(-0.1, seconds=7.0), Step(-0.2, seconds=2.0)],
@@ -293,6 +314,15 @@ STATES: dict[str, tuple[list[Step], WayState]] = {
     ),
     "the robot has backed out": (
         [LINED_UP, Step(-0.1, seconds=7.0), Step(-0.5)],
+        WayState.ASIDE,
+    ),
+    "the robot has backed out before another": (
+        [
+            LINED_UP,
+            Step(-0.2, there={1: (0.1, 0.0)}, seconds=1.5),
+            Step(-0.2, seconds=2.0),
+            Step(-0.5),
+        ],
         WayState.ASIDE,
     ),
     "no progress for 5 s": ([LINED_UP, Step(-0.1, seconds=5.0)], WayState.IN),
@@ -431,20 +461,23 @@ def test_a_robot_goes_aside_and_waits_while_another_comes_out() -> None:
     assert ride.state() is WayState.GO
 
 
-def test_a_robot_that_meets_another_in_an_opening_tries_the_other_way_after_a_while() -> None:
+@pytest.mark.parametrize(
+    ("there", "state", "text"),
+    [
+        (0.15, WayState.BACK, "backs out of an opening"),
+        (0.9, WayState.IN, "passes an opening"),
+    ],
+)
+def test_of_two_that_meet_the_deeper_one_goes_on(there: float, state: WayState, text: str) -> None:
     ride = Ride()
     ride.at(near(-0.6))
-    comes = track(1, 0.35)
-    for seconds, state, text in (
-        (4.0, WayState.IN, "passes an opening"),
-        (4.0, WayState.BACK, "backs out of an opening"),
-    ):
-        asked = ride.at(near(-0.2), comes, seconds=seconds)
-        assert ride.state() is state
-        assert (asked.linear < 0.0) == (state is WayState.BACK)
-        passed = ride.way.passed(ride.context)
-        assert passed is not None
-        assert passed.text == text
+    own = 0.1 if state is WayState.IN else -0.2
+    asked = ride.at(near(own), track(1, there - own), seconds=4.0)
+    assert ride.state() is state
+    assert (asked.linear < 0.0) == (state is WayState.BACK)
+    passed = ride.way.passed(ride.context)
+    assert passed is not None
+    assert passed.text == text
 
 
 def test_a_robot_follows_another_that_goes_in_at_a_distance() -> None:
@@ -552,6 +585,23 @@ def test_a_robot_that_has_passed_lets_others_go_first() -> None:
     assert ride.state() is WayState.WAIT
     ride.at(near(-1.0, 0.9), seconds=9.0)
     assert ride.state() is WayState.GO
+
+
+def test_a_robot_in_a_door_keeps_away_from_no_side() -> None:
+    ride = Ride(0.0, np.where(BEARINGS < 0.0, 0.2, 0.0))
+    for x in (-0.8, -0.3):
+        ride.at(near(x))
+    assert abs(ride.at(near(-0.05)).angular) < 0.2
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_robot_in_a_corridor_keeps_away_from_the_side_that_was_seen_earlier(side: float) -> None:
+    ride = Ride(1.0, np.where(side * BEARINGS < 0.0, 0.2, 0.0))
+    ride.at(near(-0.8))
+    ride.at(near(-0.3))
+    asked = ride.at(near(0.2))
+    assert ride.state() is WayState.IN
+    assert asked.angular * side > 0.0
 
 
 def test_a_robot_whose_request_leads_away_is_free_again() -> None:
