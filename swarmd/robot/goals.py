@@ -83,7 +83,7 @@ class Goals:
         # The age of a goal from disk is unknown (None) until a peer reports the age.
         self.held = None if record.held is None else HeldGoal.of(record.held, None)
         self.own = None if record.own is None else HeldGoal.of(record.own, None)
-        self.before = record.before  # the goal that `swarmctl goal undo` restores
+        self.before = record.before  # the goal that `swarmctl undo` restores
         self.state: GoalState | None = None  # the state of the own goal; None without an own goal
         self.superseded = ""  # the goal, as text, that ended the last run
         self._reason = ""  # text that explains `state`

@@ -233,7 +233,8 @@ def _bundle_files(names: Sequence[str], target: Path | None) -> dict[str, Path]:
     multiple=True,
     required=True,
     metavar="REQUEST",
-    help="stop, estop, 'stop ROBOTS', 'run PATTERN' or 'param PATTERN.NAME', with * and ?.",
+    help="stop, estop, drive, 'stop ROBOTS', 'estop ROBOTS', 'run PATTERN' or 'param PATTERN.NAME',"
+    " with * and ?.",
 )
 @click.option("--role", metavar="NAME", help="The name of the permit, such as pupils [NAME].")
 @click.option("--robots", default="", metavar="ROBOTS", help="Which, such as 'tb3-0[1-3]' [all].")
