@@ -203,6 +203,10 @@ class Goals:
         """True if `goal` is the held goal."""
         return self.held is not None and HeldGoal.of(goal, None).content == self.held.content
 
+    def has_made(self, goal: Goal) -> bool:
+        """True if `goal` is the held goal, and of a stop that this robot has carried out."""
+        return goal.id in self._stops and self.is_held(goal)
+
     def adopt(self, goal: Goal, age: float | None, now: float, *, may_join: bool) -> None:
         """Replace the held goal by `goal` if `goal` is greater, and so the own goal.
 
