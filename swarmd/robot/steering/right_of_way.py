@@ -575,7 +575,8 @@ class RightOfWay:
             behind = remainder(behind, TURN)
             turn = min(max(behind, -_way.back_turn), _way.back_turn)
             if fabs(behind) > 0.5 * PI:  # it faces the way out: backwards would lead farther in
-                return Twist(0.0, turn)
+                way_out = self._drive(place.along - _way.back_aim, 0.0, place)
+                return self._fastest(way_out, safe_for)
             return self._fastest(Twist(-_way.back_share * self._speed, turn), safe_for)
         if state is WayState.IN or state is WayState.LINE:
             is_in_corridor = place.depth > _way.deep and place.along > -_way.lean_from
