@@ -44,6 +44,7 @@ SCENARIOS: Mapping[str, float] = {
 SEED = 1
 FACTS = "facts.json"
 _OLDER = "-AVX,-AVX512F,-SSE4_1,-SSE4_2,-SSSE3,-ERMS,-FSRM"
+_OF_PIN = ("GLIBC_TUNABLES", "NPY_DISABLE_CPU_FEATURES", "OPENBLAS_CORETYPE")
 _POINTS = 3001  # arguments of a function
 
 
@@ -63,7 +64,7 @@ def variants() -> dict[str, Variant]:
 
     GLIBC_TUNABLES chooses among the functions of glibc on x86-64, NPY_DISABLE_CPU_FEATURES among
     those of numpy, OPENBLAS_CORETYPE among the products of OpenBLAS. Pinned variants are compared
-    with a pinned process, the others with this one as it is.
+    with a pinned process, the others with one that is not, also if this one is.
     """
     found = {
         "another hash seed": Variant({"PYTHONHASHSEED": "7"}),
@@ -78,7 +79,9 @@ def variants() -> dict[str, Variant]:
         libm = {"GLIBC_TUNABLES": "glibc.cpu.hwcaps=-FMA,-FMA4,-AVX2"}
         found["libm without FMA"] = Variant(libm, is_equal=False)
         processor |= libm
-    if features := np.show_config(mode="dicts")["SIMD Extensions"].get("found"):
+    simd_of_numpy = np.show_config(mode="dicts")["SIMD Extensions"]
+    # In a pinned process those of this processor are not found, too; numpy ignores all others.
+    if features := [*simd_of_numpy.get("found", ()), *simd_of_numpy.get("not found", ())]:
         simd = {"NPY_DISABLE_CPU_FEATURES": " ".join(features)}
         found["numpy without SIMD"] = Variant(simd, is_equal=False)
         processor |= simd
@@ -112,7 +115,9 @@ def run_variant(variant: Variant, folder: Path, names: Iterable[str], share: flo
 
 
 def _environment(variant: Variant) -> dict[str, str]:
-    environment = {**os.environ, **variant.environment}
+    """The environment of a variant; without the pin of this process, such as that of a night."""
+    environment = {name: value for name, value in os.environ.items() if name not in _OF_PIN}
+    environment |= variant.environment
     return pinned_environment(environment) if variant.is_pinned else environment
 
 

@@ -61,11 +61,11 @@ class GoalHandler:
             goal.pattern is None
             and age is not None
             and goal.is_for(self._lifecycle.identity.robot, goals.labels)
-            and not goals.has_made(goal)
+            and not goals.has_made(goal, now - age)
         ):
             # A stop of all robots, or an operator, has made this goal: the robot is to stand. A
             # robot that has carried out this stop itself knows its time better: the age lacks the
-            # time of the message on its way.
+            # time of the message on its way, of MAX_WAY at most.
             self._lifecycle.stops.note(IssueTime(now - age), goal.issuer)
         relation = goals.judge(goal)
         if relation is Found.OWN:

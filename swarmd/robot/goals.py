@@ -41,6 +41,7 @@ from swarmd.core.goal import (
 )
 from swarmd.core.refusal import Refusal
 from swarmd.core.verbs import RunRequest
+from swarmd.robot.issue_time import MAX_WAY
 
 MAX_STOPS = 64  # ids of stops that are remembered
 MAX_ISSUER = 63
@@ -94,7 +95,9 @@ class Goals:
         self._lease_count = -1  # the sequence number of the operator's newest lease message
         # When a lease message came last that was too old, or may have been replayed; s, own clock.
         self._old_lease_at = -math.inf
-        self._stops: dict[str, None] = {}  # ids of the last stops of all robots, oldest first
+        # By id, the last stops of all robots that this robot has carried out, oldest first: when
+        # each was issued, in s on the own clock, by the age that its first copy stated.
+        self._stops: dict[str, float] = {}
         # By id: stops that may be older than the held goal (rule 6b).
         self._undecided: dict[str, _Undecided] = {}
         self._held_since = now  # s, own clock: when the held goal arrived or was read from disk
@@ -203,9 +206,14 @@ class Goals:
         """True if `goal` is the held goal."""
         return self.held is not None and HeldGoal.of(goal, None).content == self.held.content
 
-    def has_made(self, goal: Goal) -> bool:
-        """True if `goal` is the held goal, and of a stop that this robot has carried out."""
-        return goal.id in self._stops and self.is_held(goal)
+    def has_made(self, goal: Goal, issued: float) -> bool:
+        """True if `goal` is the held goal, and of a stop that this robot has carried out.
+
+        `issued`: s, own clock: when the goal was set, as a peer tells it. False if that is more
+        than MAX_WAY after the stop: a relay may have stated too great an age of the stop.
+        """
+        stop = self._stops.get(goal.id)
+        return stop is not None and issued - stop <= MAX_WAY and self.is_held(goal)
 
     def adopt(self, goal: Goal, age: float | None, now: float, *, may_join: bool) -> None:
         """Replace the held goal by `goal` if `goal` is greater, and so the own goal.
@@ -278,7 +286,7 @@ class Goals:
         """
         if stop in self._stops:
             return False
-        self._stops[stop] = None
+        self._stops[stop] = now - age
         while len(self._stops) > MAX_STOPS:
             del self._stops[next(iter(self._stops))]
         return self._stand_since(stop, _Undecided(operator, now - age), now)

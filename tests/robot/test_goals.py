@@ -865,6 +865,21 @@ def test_a_stop_that_only_peers_tell_refuses_an_earlier_run() -> None:
         assert run_before.refusal is Refusal.OVERTAKEN
 
 
+@pytest.mark.parametrize("peers", [1, 2])
+def test_a_relay_that_makes_a_stop_older_does_not_hide_it(peers: int) -> None:
+    """The stop is 0.3 s old, but its relay states 60 s: a run of 0.8 s ago was issued before it."""
+    harness = ready()
+    forged = StopRequest(id="s1", operator="anna", clock="desk", issued=100.0, age=60.0)
+    harness.send(forged)
+    assert harness.robot.goal is not None
+    of_stop = harness.robot.goal.goal
+    harness.advance(0.3)
+    for _ in range(peers):
+        harness.find(of_stop, 0.3)
+    run_before = harness.refused("run", pattern="forward", clock="lap", issued=7.0, age=0.8)
+    assert run_before.refusal is Refusal.OVERTAKEN
+
+
 def test_a_run_that_comes_too_late_or_too_early_is_refused() -> None:
     harness = ready()
     late = harness.refused("run", pattern="forward", at={"tb3-01": harness.now - 0.6})

@@ -19,10 +19,16 @@ from studies.processors.runs import (
     variants,
 )
 from studies.processors.socket_options import SocketOptions
+from swarmd.core.pin import pinned_environment
 
 
 @pytest.mark.integration
-def test_a_hash_seed_and_processes_change_no_bit_and_a_processor_is_named(tmp_path: Path) -> None:
+def test_a_hash_seed_and_processes_change_no_bit_and_a_processor_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The pin of this process, as a night has it, does not hide what the processor changes."""
+    for name, value in pinned_environment().items():
+        monkeypatch.setenv(name, value)
     names, share = ["doorway"], 0.1
     run_variant(Variant({}), tmp_path / "here", names, share)
     run_variant(Variant({"PYTHONHASHSEED": "7"}, cores=2), tmp_path / "program", names, share)
@@ -34,7 +40,8 @@ def test_a_hash_seed_and_processes_change_no_bit_and_a_processor_is_named(tmp_pa
     run_variant(others["all three"], tmp_path / "there", names, share)
     facts = differing_facts(tmp_path / "here", tmp_path / "there")
     differs = differences(tmp_path / "here", tmp_path / "there")["doorway"]
-    assert not differs or any(name.startswith(("math.", "numpy.")) for name in facts), facts
+    of_processor = any(name.startswith(("math.", "numpy.")) for name in facts)
+    assert of_processor or not (differs or "libm without FMA" in others), facts
 
 
 def ask(path: Path, sock: socket.socket, level: int, name: int, value: bytes) -> int:

@@ -51,7 +51,7 @@ cdef class RightOfWay:
 
     @cython.locals(
         bearing=cython.double, error=cython.double, behind=cython.double, turn=cython.double,
-        is_in_corridor=cython.bint, lean=cython.double
+        is_in_corridor=cython.bint, leans=cython.bint, most=cython.double, lean=cython.double
     )
     cdef _request(self, place, safe_for)
     cdef _find_middle(self, place, Points points)
@@ -60,7 +60,7 @@ cdef class RightOfWay:
 
 @cython.locals(
     left=cython.Py_ssize_t, right=cython.Py_ssize_t, left_sum=cython.double,
-    right_sum=cython.double, i=cython.Py_ssize_t
+    right_sum=cython.double, i=cython.Py_ssize_t, bearing=cython.double
 )
 cdef double _older_to_the_right(const double[::1] ages, const double[::1] bearings)
 cdef inline _moved(double x, double y, double base_x, double base_y, double c, double s)

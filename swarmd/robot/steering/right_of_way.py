@@ -214,6 +214,7 @@ class RightOfWay:
         Sets `_lean`.
         """
         odometry = context.odometry
+        self._lean = 0.0
         if self._opening is not None and scan.ages is not None:
             self._lean = _way.lean * _older_to_the_right(view(scan.ages), view(scan.bearings))
         # Read with each scan: the tracker takes in the scan next.
@@ -571,11 +572,17 @@ class RightOfWay:
         state = self.state
         if state is WayState.BACK:  # turns the rear to a place on the axis behind, and drives there
             behind = atan2(-place.aside, -_way.back_aim) + PI - place.heading
-            turn = min(max(remainder(behind, TURN), -_way.back_turn), _way.back_turn)
+            behind = remainder(behind, TURN)
+            turn = min(max(behind, -_way.back_turn), _way.back_turn)
+            if fabs(behind) > 0.5 * PI:  # it faces the way out: backwards would lead farther in
+                way_out = self._drive(place.along - _way.back_aim, 0.0, place)
+                return self._fastest(way_out, safe_for)
             return self._fastest(Twist(-_way.back_share * self._speed, turn), safe_for)
         if state is WayState.IN or state is WayState.LINE:
             is_in_corridor = place.depth > _way.deep and place.along > -_way.lean_from
-            lean = self._lean if is_in_corridor and state is WayState.IN else 0.0
+            leans = is_in_corridor and state is WayState.IN
+            most = _way.aligned_share * place.half_width
+            lean = min(max(self._lean, -most), most) if leans else 0.0
             return self._fastest(self._drive(place.along + _way.pursuit, lean, place), safe_for)
         if state is WayState.APPROACH:
             return self._drive(place.along + _way.pursuit, 0.0, place)
@@ -672,10 +679,11 @@ def _older_to_the_right(ages: Doubles, bearings: Doubles) -> float:
     left_sum = 0.0
     right_sum = 0.0
     for i in range(len(bearings)):
-        if fabs(bearings[i] - _way.abeam) < _way.abeam_width:
+        bearing = remainder(bearings[i], TURN)  # a driver may give 0 to TURN
+        if fabs(bearing - _way.abeam) < _way.abeam_width:
             left += 1
             left_sum += ages[i]
-        elif fabs(bearings[i] + _way.abeam) < _way.abeam_width:
+        elif fabs(bearing + _way.abeam) < _way.abeam_width:
             right += 1
             right_sum += ages[i]
     if left == 0 or right == 0:

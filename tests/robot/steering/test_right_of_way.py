@@ -604,6 +604,55 @@ def test_a_robot_in_a_corridor_keeps_away_from_the_side_that_was_seen_earlier(si
     assert asked.angular * side > 0.0
 
 
+@pytest.mark.parametrize("turns", [1.0, -1.0])
+def test_a_side_is_the_same_for_bearings_of_a_whole_turn(
+    turns: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A driver may give 0 to 2 pi, or -2 pi to 0, in place of -pi to pi."""
+    is_right = BEARINGS < 0.0
+    whole = np.where(turns * BEARINGS < 0.0, BEARINGS + turns * math.tau, BEARINGS)
+    monkeypatch.setitem(globals(), "BEARINGS", whole)
+    ride = Ride(1.0, np.where(is_right, 0.2, 0.0))
+    ride.at(near(-0.8))
+    ride.at(near(-0.3))
+    assert ride.at(near(0.2)).angular > 0.2
+
+
+def test_a_robot_in_a_corridor_keeps_to_its_axis_once_rays_have_no_ages() -> None:
+    ride = Ride(1.0, np.where(BEARINGS < 0.0, 0.2, 0.0))
+    ride.at(near(-0.8))
+    ride.at(near(-0.3))
+    assert ride.at(near(0.2)).angular > 0.2
+    ride.ages = None
+    assert ride.at(near(0.25)).angular == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_robot_in_a_corridor_drives_on_however_old_the_rays_of_a_wall_are() -> None:
+    ride = Ride(1.0, np.where(BEARINGS < 0.0, 9.0, 0.0))
+    ride.at(near(-0.8))
+    ride.at(near(-0.3))
+    asked = ride.at(near(0.2))
+    assert ride.state() is WayState.IN
+    assert asked.linear > 0.15
+
+
+@pytest.mark.parametrize("yaw", [1.8, 2.4, -2.4, 3.0])
+def test_a_robot_that_faces_the_way_out_drives_out_ahead(yaw: float) -> None:
+    """Its pattern turns it on the spot, so that the direction of the request stays ahead."""
+    ride = Ride(1.0)
+    for x in (-0.8, -0.3, 0.2):
+        ride.at(near(x))
+    for share in np.linspace(0.0, 1.0, 11):
+        heading = share * yaw
+        comes = track(1, 0.35 * math.cos(heading), -0.35 * math.sin(heading))
+        turn_back = Twist(0.0, -math.copysign(1.0, yaw))
+        asked = ride.at(Pose(0.2, 0.0, heading), comes, seconds=0.5, requested=turn_back)
+    assert ride.state() is WayState.BACK
+    assert asked.linear > 0.0
+    assert asked.linear * math.cos(yaw) < 0.0, "towards the robot that it has met"
+    assert asked.angular * yaw > 0.0, "on to the way out"
+
+
 def test_a_robot_whose_request_leads_away_is_free_again() -> None:
     ride = Ride()
     ride.at(near(-1.0))
