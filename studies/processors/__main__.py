@@ -36,9 +36,8 @@ def main(words: Sequence[str] | None = None) -> int:
         return 0
     if args.command == "compare":
         return compare(args.a, args.b)
-    folder = (
-        args.folder or keeper.experiment_folder("processors") / f"{args.share}-{len(args.only)}"
-    )
+    of_these = f"{args.share}-{len(args.only)}"
+    folder = args.folder or keeper.experiment_folder("processors.__main__") / of_these
     return run_all(folder, args.only, args.share)
 
 
