@@ -70,12 +70,8 @@ QUOTED = {
     ),
     "[{0} % of a core idle, {1} % driving": (BENCH, "CPU, daemon and host, idle / driving", ""),
     "driving, {0} MB](benchmarks/README.md#in-bursts)": (BENCH, "RSS; PSS", ""),
-    "(swarmd: [{0}](benchmarks/README.md#last-measured),": (
-        BENCH, "robot-seconds a CPU-second, 1000 robots with 24 rays", ""
-    ),
-    "[{0} robot-seconds per CPU-second by default": (BENCH, "default: `dynamics2d`", "1,000"),
-    "by default, {0} tuned](benchmarks/README.md#argos)": (
-        BENCH, "tuned: one iteration of the physics", "1,000"
+    "[{0} robot-seconds per CPU-second, {1} times as many as ours ({2} to {3})](benchmarks/": (
+        BENCH, "ARGoS ", "1000 robots"
     ),
     "later starts took {0} s": (BENCH, "`swarmctl demo` to 7 moving, without compiled files", ""),
     "[{0} of {1} runs](docs/paper.md#hardware) of our attraction": (
@@ -96,7 +92,7 @@ QUOTED = {
 }  # fmt: skip
 CONTROLS = {  # by row of "What is different", what its claim stands beside
     "ROS2swarm": "robots that do not move",
-    "ARGoS": "(swarmd: [",
+    "ARGoS": "times as many as ours",
     "Nav2": "without protection",
 }
 
