@@ -106,6 +106,9 @@ def subjects() -> Sequence[Subject]:
                 "tests/robot/test_latches.py",
                 "tests/robot/test_provisional.py",
                 "tests/robot/test_pattern_run.py",
+                "tests/robot/test_hand.py",
+                "tests/robot/test_hand_histories.py",
+                "tests/robot/test_permit.py",
             ),
         ),
         Subject(
