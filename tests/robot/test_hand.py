@@ -17,7 +17,7 @@ from swarmd.core.low_battery import LowBatterySettings
 from swarmd.core.messages import Code, Reason, State
 from swarmd.core.refusal import Refusal
 from swarmd.core.values import Scan, Twist
-from swarmd.testing.scans import empty_scan
+from swarmd.testing.scans import Disc, empty_scan, scan_of
 from tests.support.hand import BACK, FORWARD, HandOn
 from tests.support.robot_harness import RobotHarness
 from tests.support.stub_patterns import PATTERNS
@@ -153,6 +153,24 @@ def test_a_bound_of_speed_bounds_the_hand_and_keeps_the_curve() -> None:
     hand.take(speed=0.1)
     hand.drive(0.3, Twist(0.2, 0.4))
     assert (harness.twist.linear, harness.twist.angular) == pytest.approx((0.1, 0.2))
+
+
+def test_a_hand_is_not_steered_around_what_a_run_is_steered_around() -> None:
+    """A pillar 1 m ahead, 0.1 m to the left."""
+
+    def scan(seq: int, now: float) -> Scan:
+        noise = np.random.default_rng(seq)
+        pillar = [Disc(1.0, 0.1, 0.15)]
+        seen = scan_of(harness.platform, pillar, room=8.0, seq=seq, noise=0.003, rng=noise)
+        return replace(seen, stamp=now)
+
+    harness, hand = running()
+    harness.scans = scan
+    harness.advance(1.0)
+    assert harness.twist.angular < -0.1
+    hand.take()
+    hand.drive(1.0, Twist(0.2))
+    assert harness.twist == Twist(0.2)
 
 
 def test_a_pattern_that_hangs_does_not_hold_the_hand() -> None:
