@@ -106,6 +106,9 @@ def subjects() -> Sequence[Subject]:
                 "tests/robot/test_latches.py",
                 "tests/robot/test_provisional.py",
                 "tests/robot/test_pattern_run.py",
+                "tests/robot/test_hand.py",
+                "tests/robot/test_hand_histories.py",
+                "tests/robot/test_permit.py",
             ),
         ),
         Subject(
@@ -119,6 +122,8 @@ def subjects() -> Sequence[Subject]:
                 "tests/robot/test_sensors.py",
                 "tests/robot/test_quiet_ticks.py",
                 "tests/robot/test_memory.py",
+                "tests/robot/test_hand.py",
+                "tests/robot/protection/test_following.py",
             ),
             one_of=3,
         ),

@@ -68,8 +68,10 @@ QUOTED = {
     "[{0} % of their time](docs/evidence/beside.md#what-it-costs-in-ordinary-runs)": (
         HELD, "nine TurtleBots 4, 5 x 5 m               | as the platform", "held"
     ),
-    "[{0} % of a core idle, {1} % driving": (BENCH, "CPU, daemon and host, idle / driving", ""),
-    "driving, {0} MB](benchmarks/README.md#in-bursts)": (BENCH, "RSS; PSS", ""),
+    "[{0} % of a core idle, {1} % driving": (BENCH, "daemon and host: CPU idle / driving", ""),
+    "driving, {0} MB](benchmarks/README.md#all-budgets)": (
+        BENCH, "daemon and host: RSS; PSS", ""
+    ),
     "[{0} robot-seconds per CPU-second, {1} times as many as ours ({2} to {3})](benchmarks/": (
         BENCH, "ARGoS ", "1000 robots"
     ),

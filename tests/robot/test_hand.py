@@ -17,7 +17,7 @@ from swarmd.core.low_battery import LowBatterySettings
 from swarmd.core.messages import Code, Reason, State
 from swarmd.core.refusal import Refusal
 from swarmd.core.values import Scan, Twist
-from swarmd.testing.scans import empty_scan
+from swarmd.testing.scans import Disc, empty_scan, scan_of
 from tests.support.hand import BACK, FORWARD, HandOn
 from tests.support.robot_harness import RobotHarness
 from tests.support.stub_patterns import PATTERNS
@@ -73,7 +73,9 @@ def test_an_idle_robot_drives_by_hand_says_by_whom_and_is_idle_after_the_release
     assert (harness.twist, harness.status.driven_by) == (FORWARD, "anna")
     assert harness.status.state is State.IDLE
     assert harness.status.reason is None
-    assert code(hand.release()) is Code.APPLIED
+    released = hand.release()
+    assert released is not None
+    assert (released.code, released.text) == (Code.APPLIED, "released; idle")
     assert still(harness, 1.0)
     assert (harness.status.driven_by, harness.status.state) == ("", State.IDLE)
 
@@ -81,7 +83,9 @@ def test_an_idle_robot_drives_by_hand_says_by_whom_and_is_idle_after_the_release
 def test_a_run_waits_for_the_hand_and_goes_on_by_the_word_of_its_driver() -> None:
     harness, hand = driven()
     assert (harness.status.state, harness.status.pattern) == (State.RUNNING, RUN)
-    assert code(hand.release()) is Code.APPLIED
+    released = hand.release()
+    assert released is not None
+    assert (released.code, released.text) == (Code.APPLIED, "released; forward goes on")
     assert harness.twist == Twist(0.2)
 
 
@@ -151,6 +155,24 @@ def test_a_bound_of_speed_bounds_the_hand_and_keeps_the_curve() -> None:
     assert (harness.twist.linear, harness.twist.angular) == pytest.approx((0.1, 0.2))
 
 
+def test_a_hand_is_not_steered_around_what_a_run_is_steered_around() -> None:
+    """A pillar 1 m ahead, 0.1 m to the left."""
+
+    def scan(seq: int, now: float) -> Scan:
+        noise = np.random.default_rng(seq)
+        pillar = [Disc(1.0, 0.1, 0.15)]
+        seen = scan_of(harness.platform, pillar, room=8.0, seq=seq, noise=0.003, rng=noise)
+        return replace(seen, stamp=now)
+
+    harness, hand = running()
+    harness.scans = scan
+    harness.advance(1.0)
+    assert harness.twist.angular < -0.1
+    hand.take()
+    hand.drive(1.0, Twist(0.2))
+    assert harness.twist == Twist(0.2)
+
+
 def test_a_pattern_that_hangs_does_not_hold_the_hand() -> None:
     harness, hand = driven()
     harness.is_hung = True
@@ -174,6 +196,24 @@ def test_a_lost_hand_holds_the_run_until_a_resume() -> None:
     assert harness.applied("resume").refusal is None
     harness.advance(0.1)
     assert harness.twist == Twist(0.2)
+
+
+@pytest.mark.parametrize("is_of_a_goal", [True, False])
+def test_a_resume_of_a_goal_that_was_seen_lets_the_run_of_that_goal_alone_go_on(
+    is_of_a_goal: bool,
+) -> None:
+    wanted = Goal(generation=9, issuer="anna", id="seen", pattern=RUN)
+    harness, _ = driven(goal=wanted if is_of_a_goal else None)
+    harness.advance(LEASE)
+    refused = harness.refused("resume", digest="00")
+    assert refused.refusal is (Refusal.OVERTAKEN if is_of_a_goal else Refusal.NO_GOAL)
+    assert still(harness, 1.0)
+    told = harness.status.goal
+    assert (told is not None) is is_of_a_goal
+    if told is not None and told.own is not None:
+        assert harness.applied("resume", digest=told.own.digest).text == "forward goes on"
+        harness.advance(0.1)
+        assert harness.twist == Twist(0.2)
 
 
 @pytest.mark.parametrize("again", ["run", "hand"])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from dataclasses import replace as changed
 
@@ -54,6 +55,16 @@ class Seeks(Turns):
     needs = frozenset({"scan", "neighbors.bearing"})
 
 
+def asks_for(twist: Twist) -> type[Pattern[_Params]]:
+    """A pattern that needs the places of peers and asks for one motion alone."""
+
+    class Asks(Seeks):
+        def step(self, inputs: Inputs) -> Outputs:
+            return Outputs(twist)
+
+    return Asks
+
+
 @dataclass
 class Story:
     """A Waffle Pi among a peer that drives a circle, too, and one pillar.
@@ -63,13 +74,14 @@ class Story:
 
     platform: str = "waffle_pi"
     is_seen: bool = True  # the peer tells to see the robot
+    patterns: Mapping[str, type[Pattern[_Params]]] = field(
+        default_factory=lambda: {"turns": Turns, "seeks": Seeks}
+    )
     told: list[tuple[float, KinMessage]] = field(default_factory=list)
     inputs: list[tuple[float, bytes]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.harness = RobotHarness(
-            self.platform, {"turns": Turns, "seeks": Seeks}, take=self._take
-        )
+        self.harness = RobotHarness(self.platform, self.patterns, take=self._take)
         noise = np.random.default_rng(1)
         self.harness.scans = lambda seq, now: replace(
             scan_of(self.harness.platform, self.discs(now), seq=seq, noise=0.005, rng=noise),
@@ -131,6 +143,31 @@ def test_a_robot_whose_pattern_needs_no_places_tells_and_names_nothing() -> None
     story.run(12.0)
     assert story.told == []
     assert story.neighbors()["b"].distance is None
+
+
+@pytest.mark.parametrize(
+    ("platform", "twist"),
+    [
+        ("waffle_pi", Twist(0.1)),
+        ("waffle_pi", Twist(0.0, 0.3)),
+        ("rosbot_xl", Twist(0.0, 0.0, 0.1)),
+    ],
+    ids=["straight on", "turning in place", "sideways"],
+)
+def test_a_message_tells_for_how_long_the_base_has_had_the_command_zero(
+    platform: str, twist: Twist
+) -> None:
+    story = Story(platform, patterns={"asks": asks_for(twist), "stands": asks_for(Twist())})
+    story.harness.advance(1.0)
+    story.harness.applied("run", pattern="stands")
+    story.run(4.0)
+    assert 3000 <= story.told[-1][1].stood <= 4200  # ms; the first scan comes 0.2 s later at most
+    story.harness.applied("run", pattern="asks")
+    story.run(3.0)
+    assert story.told[-1][1].stood == 0
+    story.harness.applied("run", pattern="stands")
+    story.run(4.0)
+    assert 1000 <= story.told[-1][1].stood <= 4000
 
 
 def test_a_pattern_that_needs_places_gets_them_of_the_peer_that_is_named() -> None:
