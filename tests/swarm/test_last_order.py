@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import re
+import subprocess
+import sys
 import threading
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
 import swarmd
+from swarmd.core.clock import boottime
 from swarmd.core.messages import State
 from swarmd.operator.session.members_view import MembersView
 from swarmd.operator.session.operator import Operator
 from swarmd.operator.view.commander import LiveCommander
 from tests.support.processes import CAP, wait_until
+from tests.support.swarmctl import Finished, ask_in_time
 
 if TYPE_CHECKING:
     from tests.support.processes import DaemonProcess
@@ -25,6 +31,7 @@ pytestmark = pytest.mark.integration
 
 BOTH = ("r1", "r2")
 GOAL = "goal: {pattern: drive}\n"
+SWARMCTL = Path(sys.executable).with_name("swarmctl")
 STARTED = re.compile(r"\((run|resume) ")
 
 
@@ -121,6 +128,28 @@ def test_a_run_after_a_stop_runs(two: Swarm) -> None:
             assert client.stop().applied == BOTH
             outcome = client.run("drive")
             assert outcome.applied == BOTH, outcome
+
+
+def test_a_run_after_a_stop_of_one_script_runs(two: Swarm) -> None:
+    """The shell becomes its last command, whose process is as old as the script."""
+    script = f"{SWARMCTL} stop && exec {SWARMCTL} run drive --all"
+    environ = {**os.environ, **two.environ()}
+
+    def ask() -> Finished:
+        done = subprocess.run(
+            ["sh", "-c", script], env=environ, capture_output=True, text=True, timeout=CAP
+        )
+        return Finished(done.returncode, done.stdout, done.stderr)
+
+    assert ask_in_time(ask).outcome == (0, "2 targeted, 2 applied")
+
+
+def test_a_command_after_a_stop_begins_in_a_later_clock_tick(two: Swarm) -> None:
+    """A command counts from the start of its process, which Linux tells in ticks of 10 ms."""
+    for _ in range(20):
+        before = boottime()
+        two.operator.send_stop("stop")
+        assert int(boottime() * 100) > int(before * 100)
 
 
 def test_a_stop_by_a_second_terminal_wins_over_a_run_that_waits_for_a_frozen_robot(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import resource
 import signal
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -16,7 +17,7 @@ from typing import Any, NoReturn
 
 import click
 
-from swarmd.core.clock import process_start
+from swarmd.core.clock import boottime, process_start
 from swarmd.core.errors import (
     ConfigError,
     NetworkError,
@@ -205,12 +206,23 @@ def cli(options: CommonOptions) -> None:
 _FORK_SERVER = "swarmd.core.fork_server"
 
 
+def _typed_at() -> float:
+    """When the user typed the command, or a script came to it, in s on the clock of `boottime`.
+
+    A shell becomes its last command, as in `sh -c 'swarmctl stop; swarmctl run drive --all'`: the
+    process of that command is as old as the shell. The shell has waited for earlier commands, and
+    the command has waited for none yet.
+    """
+    has_been_shell = resource.getrusage(resource.RUSAGE_CHILDREN).ru_minflt > 0
+    return boottime() if has_been_shell else process_start()
+
+
 def main(args: list[str] | None = None) -> NoReturn:
     """Run swarmctl and exit with its code; every error is one line on stderr."""
     is_fork = _FORK_SERVER in sys.modules  # of a process that may have a server, which goes on
     try:
         options = replace(
-            CommonOptions.of_environment(), began=process_start(), is_program=args is None
+            CommonOptions.of_environment(), began=_typed_at(), is_program=args is None
         )
         code = run_cli(cli, args, "swarmctl", exit_code_of, options)
     except SystemExit as end:  # a signal ended the command

@@ -91,6 +91,8 @@ starts meanwhile hears of the lease after that."""
 CLOSE_TIMEOUT = 0.2
 MAX_SWARMS = 256
 SWARMS_TIME = 0.3
+START_STEP = 0.01
+"""Seconds to which Linux tells when a process began (proc_pid_stat(5))."""
 R = TypeVar("R", bound=AnyRequest)
 D = TypeVar("D")
 
@@ -485,6 +487,8 @@ class Operator(Closing):
         `until_all` True: there is no time limit, `on_progress` gets the robots that have not
         stopped whenever these robots change, and a KeyboardInterrupt ends sending without an error.
         `until_all` False: `on_progress` is not called, and a KeyboardInterrupt is raised.
+
+        A command that begins after this call counts as later than the stop.
         """
         self._check_role(verb)
         now = boottime()
@@ -509,6 +513,7 @@ class Operator(Closing):
             on_progress=on_progress,
             is_ended=is_ended,
         )
+        _await_next_step(now)
         with self._arrivals.lock:
             unproven = self._unproven(outcome.missing)
             return replace(outcome, warnings=(*outcome.warnings, *unproven))
@@ -627,3 +632,10 @@ def _instance(text: str) -> bytes:
         return bytes.fromhex(text)
     except ValueError:
         return b""
+
+
+def _await_next_step(issued: float) -> None:
+    """Return once a process that begins then counts as later than `issued`, in s since boot."""
+    step_ends = (math.floor(issued / START_STEP) + 1.0) * START_STEP
+    while (left := step_ends - boottime()) > 0.0:
+        time.sleep(left)
