@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import resource
 import signal
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -213,6 +212,10 @@ def _typed_at() -> float:
     process of that command is as old as the shell. The shell has waited for earlier commands, and
     the command has waited for none yet.
     """
+    try:
+        import resource  # not on Windows
+    except ImportError:
+        return process_start()
     has_been_shell = resource.getrusage(resource.RUSAGE_CHILDREN).ru_minflt > 0
     return boottime() if has_been_shell else process_start()
 
