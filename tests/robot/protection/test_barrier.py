@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -558,6 +559,17 @@ def test_a_locked_robot_with_a_slow_request_is_no_slower(index: int, gap: float)
         assert safe.linear == pytest.approx(CREEP_SPEED, rel=1e-6)
 
 
+@pytest.mark.parametrize("turn", [2.5, -2.5])
+def test_a_slow_robot_creeps_only_if_that_is_nearer_to_the_request(turn: float) -> None:
+    """No corner of a creeping robot is faster than 15 mm/s: a Burger would turn at 0.11 rad/s."""
+    scan = beside(BURGER, [(0.334, 100.0)])
+    alone = decided(BURGER, scan, Twist(0.0, turn)).safe.angular
+    slow = decided(BURGER, scan, Twist(0.01, turn)).safe
+    assert abs(alone) > 1.0
+    assert slow.angular == pytest.approx(alone, rel=0.1)
+    assert slow.linear == pytest.approx(0.01, abs=1e-3)
+
+
 def test_a_told_obstacle_and_a_circle_keep_a_robot_from_creeping_out() -> None:
     """What is not seen where it is may be anywhere within its disc."""
     robot = CREEPING[2]
@@ -683,6 +695,22 @@ def test_envelope_begins_farther_away_after_a_late_scan(delay: float) -> None:
     )
     assert late.angular == pytest.approx(1.604, abs=1e-3)
     assert waited == requested
+
+
+@pytest.mark.parametrize("form", FORMS, ids=["text", "used"])
+@pytest.mark.parametrize(("later", "drives"), [(-0.05, False), (0.05, True)])
+def test_only_a_scan_that_is_newer_frees_an_obstacle(form: Any, later: float, drives: bool) -> None:
+    """A scan that was held back shows what was there before; `later`: s after the first scan."""
+    barrier, geometry = form.Barrier(BURGER), ScanGeometry(BURGER.scan)
+    for seen, now, age in (
+        (beside(BURGER, [(0.12, 0.0)]), 10.0, 0.0),
+        (seeing(BURGER, []), 10.2, 0.2 - later),
+    ):
+        context = DecisionContext(now, age, Odometry(now, Pose(), ZERO), 0.0)
+        barrier.observe(seen, geometry, context)
+    safe = barrier.decide(Twist(0.1), context, ZERO, None).twist
+    assert (safe.linear == 0.1) == drives
+    assert drives or safe.linear < 0.01
 
 
 @given(PLATFORM, RETURNS, SHARE, SHARE, AGE)

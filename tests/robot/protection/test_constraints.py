@@ -119,6 +119,15 @@ def test_envelope_bounds_the_speed_of_every_corner(
     assert np.abs(allowed).max() <= 1.0 + 1e-12
 
 
+def test_a_direction_in_which_no_corner_moves_keeps_its_limit() -> None:
+    """A base that only turns: its linear limit is 0, and the other directions stay bounded."""
+    turning = replace(PLATFORMS[0], limits=Limits(0.0, 2.84))
+    vertices, _, caps = envelope(turning, 0.2, AHEAD)
+    assert vertices[0] == pytest.approx((1.0, 0.0))
+    assert np.isfinite(caps).all()
+    assert fastest_corner(turning, np.array((0.0, vertices[:, 1].max()))) == pytest.approx(0.2)
+
+
 @given(ANY_PLATFORM, SPEED)
 def test_envelope_is_convex_and_contains_zero(platform: Platform, speed: float) -> None:
     polygon = polygon_of(platform, speed)

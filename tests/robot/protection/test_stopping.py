@@ -65,6 +65,28 @@ def test_free_gap_grows_while_others_approach() -> None:
     assert cleared((0.2, 0.0), (enough - 0.01, 0.0), free=(0.05, 0.3))[0] < 0.2
 
 
+@pytest.mark.parametrize("linear", [0.0, 0.005, -0.005])
+def test_a_turn_that_ends_before_others_arrive_passes(linear: float) -> None:
+    """The stop from 0.5 rad/s takes 0.217 s, with a linear speed that ends earlier, too.
+
+    The rear corner moves 9 mm in that time, and the obstacle beside it 65 mm.
+    """
+    turn, others, free, radius = -0.5, 0.3, 0.01, 0.1345
+    arc = abs(turn) * (TICK + 0.5 * abs(turn) / ANGULAR)
+    gap = free + others * (TICK + abs(turn) / ANGULAR) + arc * radius
+    beside = (-0.1, HALF + gap + 0.002)
+    assert cleared((linear, turn), beside, free=(free, others)) == (linear, turn)
+    near = (-0.1, HALF + 0.5 * gap)
+    assert cleared((linear, turn), near, free=(free, others)) != (linear, turn)
+
+
+def test_a_gap_within_a_rounding_of_the_bound_is_examined() -> None:
+    """The obstacle moves 75 mm in 0.25 s, and a place of the outline 40 mm."""
+    bound = 0.05 + 0.3 * 0.25 + 0.04
+    safe = part("stopping")._safe_gap(0.05, 0.3, 0.25, 0.04)
+    assert bound + 1e-12 < safe < bound + 1e-6
+
+
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_turn_stops_before_the_corner_arrives(side: float) -> None:
     """The nearest place of the outline does not close in a turn, but a rear corner swings in.
