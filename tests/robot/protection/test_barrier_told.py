@@ -199,6 +199,23 @@ def test_decision_names_the_rim_of_the_disc() -> None:
     assert decision.rows[0].gap == pytest.approx(0.40 - 0.15 - 0.089, abs=1e-3)
 
 
+@pytest.mark.parametrize("platform", [BURGER, JACKAL], ids=lambda platform: platform.name)
+def test_a_told_obstacle_at_a_corner_or_at_the_lidar_lets_a_robot_creep_at_most(
+    platform: Platform,
+) -> None:
+    """No direction leads from the corner to its middle."""
+    robot = under_barrier(platform, keep_out=0.3)
+    for x, y in [*platform.footprint.tolist(), platform.scan.offset]:
+        told = (ToldObstacle(float(x), float(y), 0.05, 0.0),)
+        for v, w in ((0.2, 0.0), (-0.2, 0.0), (0.2, 1.0), (0.0, -1.0)):
+            safe = decided(robot, seeing(robot, []), Twist(v, w), told=told).safe
+            speeds = [
+                math.hypot(safe.linear - safe.angular * y, safe.angular * x)
+                for x, y in robot.footprint
+            ]
+            assert max(speeds) <= 0.015 + 1e-9
+
+
 class ToldSim(FilterSim):
     """A robot that knows the one shape, a peer that its scan plane misses, only by told obstacles.
 

@@ -13,7 +13,7 @@ from swarmd.core.values import Array, Pose, Scan
 from swarmd.robot.protection.footprint import ScanGeometry
 from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import reordered, scan_from
-from tests.support.kernel_forms import both_forms, compares_forms
+from tests.support.kernel_forms import both_forms, compares_forms, interpreted
 
 pytestmark = compares_forms
 
@@ -220,6 +220,38 @@ def test_obstacle_that_reappears_beside_its_place_is_not_hidden() -> None:
     look(memory, WIDE, beyond=math.inf)
     assert look(memory, beyond=math.inf) == list(WIDE)
     assert look(memory, range(5, 14), beyond=math.inf) == []
+
+
+@pytest.mark.parametrize(("beside", "forgets"), [(range(55, 64), True), (range(0), False)])
+def test_a_doubtful_obstacle_in_the_open_expires(beside: range, forgets: bool) -> None:
+    """In 0.5 s it can have moved aside by 69 degrees; what comes into view there may be it."""
+    memory, far = Memory(), math.inf
+    look(memory, WIDE, beyond=far)
+    look(memory, beyond=far)
+    for distance in (1.0, 2.4):
+        seen = look(memory, beside, distance=distance, beyond=far, seconds=0.5)
+        assert set(WIDE) <= set(seen)
+    for _ in range(25):
+        left = look(memory, beyond=far)
+    assert bool(set(WIDE) & set(left)) != forgets
+
+
+@pytest.mark.parametrize(
+    ("face", "crosses"),
+    [
+        ([0.81 + 0.02 * k for k in range(12)], True),
+        ([0.81, 0.83, math.inf, *[0.83 + 0.02 * k for k in range(12)]], False),
+        ([0.81, 0.83, 2.0, *[0.83 + 0.02 * k for k in range(12)]], False),
+        ([*[0.81] * 8, 0.835, *[3.0] * 8], True),
+        ([*[0.81] * 9, 0.835, *[3.0] * 8], False),
+    ],
+    ids=["face", "two rays", "two rays and a step", "over eight rays", "over nine rays"],
+)
+def test_a_face_is_what_three_to_eight_rays_show(face: list[float], crosses: bool) -> None:
+    """The face is followed from the sector to a step; the rim is at 0.8 m."""
+    kernel = interpreted("swarmd.robot.protection.blind_zone", because="a function of C is asked")
+    ranges = np.array([*face, *[3.0] * 20])
+    assert kernel._crosses_rim(ranges, len(ranges), 0.8, 0, 1, False) == crosses
 
 
 def test_noise_at_the_rim_is_no_reappearance() -> None:

@@ -14,13 +14,13 @@ from hypothesis import strategies as st
 from msgspec import structs
 
 from swarmd.core.clock import TICK
-from swarmd.core.values import Array, Limits, Odometry, Platform, Pose, Scan, TouchZone, Twist
+from swarmd.core.values import ZERO, Array, Limits, Odometry, Platform, Pose, Scan, TouchZone, Twist
 from swarmd.robot.protection.barrier_assumptions import SIDE_RESERVE
 from swarmd.robot.protection.binding_range import REACTION_TIME, BindingRange
 from swarmd.robot.protection.closing_speed import CREEP_SPEED
 from swarmd.robot.protection.compatibility import barrier_settings
 from swarmd.robot.protection.constraints import linear_limit
-from swarmd.robot.protection.decision import DecisionContext
+from swarmd.robot.protection.decision import DecisionContext, ToldObstacle
 from swarmd.robot.protection.footprint import ScanGeometry
 from swarmd.robot.protection.modes import Mode
 from swarmd.robot.protection.touch_zone import touch_directions
@@ -42,6 +42,7 @@ from tests.support.filter_sim import decided, under_barrier
 from tests.support.kernel_forms import interpreted
 
 KERNEL = "swarmd.robot.protection.barrier"
+OF_C = "a part is asked alone"
 if TYPE_CHECKING:
     from swarmd.robot.protection.barrier import Barrier
 else:
@@ -303,6 +304,48 @@ def test_without_a_tight_constraint_the_nearest_obstacle_is_reported(nearest: in
     way = math.radians(rays[nearest])
     x, y = np.array(WAFFLE.scan.offset) + 0.5 * np.array((math.cos(way), math.sin(way)))
     assert found.bearing == pytest.approx(math.atan2(y, x), abs=0.1)  # it drives meanwhile
+
+
+def test_a_told_obstacle_nearer_than_all_returns_is_reported() -> None:
+    """Its gap is that of its rim, and its bearing that of its middle."""
+    barrier, told = Barrier(WAFFLE), ToldObstacle(0.0, 0.4, 0.1, 0.0)
+    scan = return_beside(0.5, -1.0)
+    context = DecisionContext(BEGIN, 0.0, Odometry(BEGIN, Pose(), ZERO), 0.0, told=(told,))
+    barrier.observe(scan, ScanGeometry(WAFFLE.scan), context)
+    barrier.decide(Twist(TOP), context, ZERO, None)
+    rows = barrier._feasible.constraints.rows
+    for row in range(rows.all):
+        rows.cap[row] = math.inf
+    (found,) = barrier._limiting.report(0.0, 0.0)
+    assert found.bearing == pytest.approx(0.5 * math.pi, abs=0.01)
+    assert found.gap == pytest.approx(0.4 - 0.1 - HALF_WIDTH, abs=1e-3)
+
+
+def test_the_gap_of_a_side_constraint_is_that_to_the_rim() -> None:
+    """A told obstacle is 0.1 m beside the robot, and its cap is 0: a row for it and for each side.
+
+    All corners are farther away.
+    """
+    barrier, told = Barrier(WAFFLE), ToldObstacle(-0.064, HALF_WIDTH + 0.25, 0.15, 0.9)
+    context = DecisionContext(BEGIN, 0.0, Odometry(BEGIN, Pose(), ZERO), 0.0, told=(told,))
+    barrier.observe(return_beside(3.0, -1.0), ScanGeometry(WAFFLE.scan), context)
+    barrier.decide(Twist(TOP), context, ZERO, None)
+    rows = barrier._feasible.constraints.rows
+    gaps = sorted(list(rows.gap)[: rows.count])
+    assert gaps[:3] == pytest.approx([0.1] * 3, abs=1e-3)
+    assert gaps[3] > 0.11
+
+
+@pytest.mark.parametrize("turn", np.linspace(0.0, 2.0 * math.pi, 13).tolist())
+def test_a_told_circle_holds_what_is_within_its_reach(turn: float) -> None:
+    circles = interpreted("swarmd.robot.protection.constraints", because=OF_C).ToldPlaces()
+    circles.begin(2)
+    circles.add(-5.0, 5.0, 0.2)
+    circles.add(1.0, -2.0, 0.5)
+    x, y = math.cos(turn), math.sin(turn)
+    assert circles.hold(1.0 + 0.49 * x, -2.0 + 0.49 * y)
+    assert not circles.hold(1.0 + 0.51 * x, -2.0 + 0.51 * y)
+    assert circles.hold(math.nan, 0.0)
 
 
 def test_far_obstacle_is_passed_at_full_speed() -> None:
