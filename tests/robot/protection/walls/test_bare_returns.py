@@ -127,11 +127,13 @@ class Watcher:
         told: Pose | None = None,
         memory: Scene = (),
         filled: Callable[[Array], NDArray[np.bool_]] | None = None,
+        too_close: Sequence[int] = (),
     ) -> Watcher:
         """Take in a scan at `pose`, which odometry tells as `told`.
 
         `memory`: where a lost ray has the range of this scene, as the memory of rays fills it;
         without it a lost ray has no return. `filled`: of the bearings, rays that were not measured.
+        `too_close`: rays whose return is too close to measure.
         """
         spec = self.platform.scan
         at = Pose() if pose is None else pose
@@ -151,6 +153,7 @@ class Watcher:
             is_filled |= filled(spec.bearings)
         ranges = np.where(ranges > spec.range_max, math.inf, ranges)
         ranges = np.where(ranges < spec.range_min, math.inf, ranges)
+        ranges[[*too_close]] = -math.inf
         is_return = np.isfinite(ranges)
         self.x = np.where(is_return, x + np.where(is_return, ranges, 0.0) * cos, math.nan)
         self.y = np.where(is_return, y + np.where(is_return, ranges, 0.0) * sin, math.nan)
@@ -631,6 +634,19 @@ def test_an_obstacle_in_the_blind_zone_takes_the_returns_near_it() -> None:
     assert len(seen.barrier.kinds()) == 360
     leg = Round(-0.032, 0.135, 0.02)
     assert seen.at_fault(leg) == 0
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_a_return_too_close_to_measure_may_be_as_far_as_the_outline(kernel: Any) -> None:
+    """The outline is 17 cm from the lidar, beyond `range_min` of 15 cm; the wall is 40 cm away.
+
+    So the wall is 23 cm from the end of this part of the ray, and `unseen_extent` is 24 cm.
+    """
+    seen = Watcher("turtlebot4", kernel).watch([wall(0.4)])
+    at_outline = Round(-0.04 + 0.17 * math.cos(math.radians(97.0)), 0.17, 0.001)
+    assert seen.at_fault(at_outline) > 5
+    assert seen.see([wall(0.4)], too_close=[97]).at_fault(at_outline) == 0
+    assert seen.bare.sum() > 10  # the wall on the other side
 
 
 @pytest.mark.parametrize(

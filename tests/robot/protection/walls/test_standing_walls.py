@@ -169,6 +169,16 @@ HIDING: Segment = (0.1, -0.1, 0.1, 0.1)
 SHORT: Segment = (0.2, -0.22, 0.2, 0.22)
 GRAZED: Segment = (0.2, 0.03, 1.4, 0.03)
 """A wall that begins ahead. Its returns lie more than 12 cm apart from 0.45 m on."""
+ASLANT: Segment = (0.0, -0.2, 0.7, 0.15)
+"""A wall of 0.78 m, 0.45 m of it to the right of the first ray, with most returns at its begin."""
+BEYOND: Segment = (0.19, 1.0, 0.23, 1.0)
+"""A body whose returns are on the line of a wall ahead, 0.7 m to the left of its end."""
+
+
+def piece(radius: float) -> list[Segment]:
+    """The middle 0.5 to 0.6 m of a wall ahead that bends away."""
+    return [one for one in arc(radius) if max(abs(one[1]), abs(one[3])) < 0.32]
+
 
 STANDS: dict[str, tuple[Scene, float]] = {
     "it has stood for the time": (still(AHEAD), 2.0),
@@ -194,6 +204,11 @@ STANDS: dict[str, tuple[Scene, float]] = {
         3.0,
     ),
     "it has a bulge of 25 mm": (still(AHEAD, (0.175, -0.03, 0.175, 0.03)), 3.0),
+    "it leads aslant across the first ray": (still(ASLANT), 3.0),
+    "a piece bends with a radius of 2.5 m, a body is on its line": (
+        still(*piece(2.5), BEYOND),
+        3.0,
+    ),
     "one scan did not show it": (at_times((0.0, [AHEAD]), (2.6, [SHORT]), (2.8, [AHEAD])), 3.0),
 }
 CHARGED: dict[str, tuple[Scene, float]] = {
@@ -206,6 +221,10 @@ CHARGED: dict[str, tuple[Scene, float]] = {
     "it is curved": (still(*arc(0.35)), 3.0),
     "it is a tank of 1 m radius": (still(*arc(1.0)), 3.0),
     "it bends with a radius of 1.4 m": (still(*arc(1.4)), 3.0),
+    "a piece bends with a radius of 1.4 m, a body is on its line": (
+        still(*piece(1.4), BEYOND),
+        3.0,
+    ),
     "most of it is seen at a grazing angle": (still(GRAZED), 3.0),
     "its end has become longer than by a bin": (
         after(3.0, [(0.2, -1.0, 0.2, -0.06)], [(0.2, -1.0, 0.2, 0.08)]),
@@ -479,6 +498,10 @@ TOLD: dict[str, tuple[Scene, int]] = {
         after(3.0, [(0.6, -0.6, 0.6, 0.6), BESIDE], [(0.8, -0.6, 0.6, 0.6), BESIDE]),
         1,
     ),
+    "it turns about its middle, its right end comes nearer": (
+        after(3.0, [(0.6, -0.9, 0.6, 0.9), BESIDE], [(0.4, -0.9, 0.8, 0.9), BESIDE]),
+        1,
+    ),
     "it hides its old place": (after(3.0, [FAR_ONE, BESIDE], [moved(0.2), BESIDE]), 0),
     "a wall of 0.6 m": (
         after(3.0, [(0.6, -0.3, 0.6, 0.3), BESIDE], [(0.8, -0.4, 0.8, 0.4), BESIDE]),
@@ -536,6 +559,16 @@ def test_wrong_odometry_is_no_wall_that_moves(kernel: Any, step: float, off: Pos
         pose = Pose(step * k)
         told = Pose(pose.x + off.x, off.y, off.yaw) if k > 20 else pose
         robot.see(1.0 + PERIOD * k, [moved(0.5), BESIDE], pose, told=told)
+    assert robot.moved == []
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_no_wall_is_judged_alone_while_the_robot_drives(kernel: Any) -> None:
+    """Odometry jumps by 20 cm: the only wall seems to move away by as much."""
+    robot = Robot(kernel)
+    for k in range(30):
+        x = -0.02 * k
+        robot.see(1.0 + PERIOD * k, [moved(0.5)], Pose(x), told=Pose(x + 0.2 * (k > 20)))
     assert robot.moved == []
 
 
