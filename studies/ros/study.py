@@ -39,6 +39,8 @@ ON_ITS_WAY = 0.1
 """Seconds that a command may take to a base while its robot acknowledges a stop."""
 
 _USUAL = (None, Reason.PROTECTION, Reason.NO_REQUESTED_COMMAND)
+_CARRIED = "its pose jumped by"
+"""What a driver says for 30 s after `_carry`, which is no report of a fault."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -234,12 +236,15 @@ def _fault(status: Status, usual: str, *, is_ordered: bool) -> str:
 
     `usual`: the driver's text without a fault. `is_ordered`: the state follows from the order.
     """
+    driver = _driver(status)
+    if _CARRIED in driver:
+        driver = usual
     is_usual = status.state is State.RUNNING and status.reason in _USUAL
     words = []
     if not is_usual and not is_ordered:
         words.append(f"`{status.state}` (`{status.reason}`)" if status.reason else status.state)
-    if _driver(status) != usual:
-        words.append(_driver(status))
+    if driver != usual:
+        words.append(driver)
     elif words and status.detail:
         words.append(status.detail)
     return ": ".join(words)

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -13,8 +14,9 @@ from studies import keeper
 from studies.ros import __main__ as study
 from studies.ros.chain import Chain
 from studies.ros.faults import Fault, faults
-from studies.ros.study import Row, _answer, rows
+from studies.ros.study import Row, _answer, _fault, rows
 from studies.ros.table import HEAD, line, summary
+from swarmd.core.messages import State
 from tests.support.ros2_bridge import why_no_bridge
 
 SHORT = ("lidar silent", "another node drives: 50 commands per second")
@@ -103,6 +105,22 @@ def test_a_row_shows_what_must_not_be(changes: dict[str, object], cell: int, tex
 )
 def test_the_answer_of_the_robot_is_one_phrase(printed: str, answer: str) -> None:
     assert _answer(f"NAME  ANSWER  TEXT\n{printed}\n", "tb3-01") == answer
+
+
+@pytest.mark.parametrize(
+    ("driver", "state", "text"),
+    [
+        ("connected", State.RUNNING, ""),
+        ("/scan is silent", State.RUNNING, "/scan is silent"),
+        ("/odom: its pose jumped by 4.9 m and 34 deg in 0.05 s", State.RUNNING, ""),
+        ("/odom: its pose jumped by 4.9 m and 34 deg in 0.05 s", State.STOPPED, "stopped: late"),
+    ],
+)
+def test_that_the_study_carries_a_robot_is_no_report(driver: str, state: State, text: str) -> None:
+    status: Any = SimpleNamespace(
+        state=state, reason=None, detail="late", health=SimpleNamespace(driver=driver)
+    )
+    assert _fault(status, "connected", is_ordered=False) == text
 
 
 def test_the_summary_counts_what_was_noticed_and_who_was_held() -> None:
