@@ -91,8 +91,9 @@ def _of_the_bridge() -> Sequence[Fault]:
                 bound=1.0,
                 robots=ROBOTS,
                 lasts=seconds,
+                mend_more=Chain.restart_bridge,
             )
-            for seconds in (2.0, 8.0)
+            for seconds in (2.0, 6.0, 12.0)
         ),
         Fault(
             name="bridge frozen, and `swarmctl estop` meanwhile",

@@ -95,13 +95,11 @@ def play(chain: Chain, fault: Fault) -> Row:
     stood = max(chain.standing(body, begun) for body in bodies)
     driven = [chain.path(body, begun) for body in bodies]
     # 4. The next run.
-    for robot in fault.robots:
-        _carry(chain, robot)
-    is_mended = wait(lambda: _drives(chain, fault.robots), MEND_CAP) < math.inf
+    is_mended = _drive_again(chain, fault.robots)
     needs_more = not is_mended and fault.mend_more is not None
     if not is_mended and fault.mend_more is not None:
         fault.mend_more(chain)
-        is_mended = wait(lambda: _drives(chain, fault.robots), MEND_CAP) < math.inf
+        is_mended = _drive_again(chain, fault.robots)
     at, says = min(told, key=lambda noticed: noticed[0])
     return Row(
         fault=fault,
@@ -118,6 +116,19 @@ def play(chain: Chain, fault: Fault) -> Row:
         needs_more=needs_more,
         others="; ".join(f"{robot}: {text}" for robot, text in sorted(others.items()) if text),
     )
+
+
+def _drive_again(chain: Chain, robots: Sequence[str]) -> bool:
+    """Carry robots without a free corridor to one; True once each has driven, within MEND_CAP s."""
+    for robot in robots:
+        _carry(chain, robot)
+    left = set(robots)
+
+    def have_driven() -> bool:
+        left.difference_update([robot for robot in left if _drives(chain, (robot,))])
+        return not left
+
+    return wait(have_driven, MEND_CAP) < math.inf
 
 
 def make_drive(chain: Chain, robots: Sequence[str]) -> None:
@@ -159,12 +170,19 @@ def _has_delay(status: Status | None) -> bool:
 
 
 def _drives(chain: Chain, robots: Sequence[str]) -> bool:
-    """Whether all of `robots` drive; requests a run of each robot that does not run."""
-    for robot in robots:
-        status = chain.status(robot)
+    """Whether all of `robots` run and drive; requests a run of each robot that does not run.
+
+    A base behind a bridge that was frozen may still drive by an old command.
+    """
+    statuses = {robot: chain.status(robot) for robot in robots}
+    for robot, status in statuses.items():
         if status is None or status.state is not State.RUNNING:
             chain.run(robot)
-    return all(chain.speed(robot) > MOVING for robot in robots)
+    is_running = all(
+        status is not None and not _fault(status, chain.usual, is_ordered=False)
+        for status in statuses.values()
+    )
+    return is_running and all(chain.speed(robot) > MOVING for robot in robots)
 
 
 def _carry(chain: Chain, robot: str) -> None:
