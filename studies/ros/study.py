@@ -69,7 +69,7 @@ class Row:
 
 def play(chain: Chain, fault: Fault) -> Row:
     """Inject a fault into a chain that drives, give the order, repair the chain, and run again."""
-    make_drive(chain, fault.robots)
+    make_drive(chain, fault.robots, fault.wall)
     # 1. The fault.
     begun = time.monotonic()
     fault.inject(chain)
@@ -119,20 +119,34 @@ def play(chain: Chain, fault: Fault) -> Row:
 
 
 def _drive_again(chain: Chain, robots: Sequence[str]) -> bool:
-    """Carry robots without a free corridor to one; True once each has driven, within MEND_CAP s."""
-    for robot in robots:
-        _carry(chain, robot)
+    """Carry robots without a free corridor to one; True once each has driven, within MEND_CAP s.
+
+    A robot that is carried may lose its returns from one scan to the next, and counts its lidar as
+    covered. Its daemon is started again.
+    """
+    carried = {robot for robot in robots if not _is_covered(chain, robot) and _carry(chain, robot)}
     left = set(robots)
 
     def have_driven() -> bool:
+        for robot in [robot for robot in carried if _is_covered(chain, robot)]:
+            carried.remove(robot)
+            chain.restart_daemon(robot)
         left.difference_update([robot for robot in left if _drives(chain, (robot,))])
         return not left
 
     return wait(have_driven, MEND_CAP) < math.inf
 
 
-def make_drive(chain: Chain, robots: Sequence[str]) -> None:
+def _is_covered(chain: Chain, robot: str) -> bool:
+    """Whether a robot counts its lidar, or a part of it, as covered."""
+    status = chain.status(robot)
+    return status is not None and status.reason is Reason.INVALID_SCAN
+
+
+def make_drive(chain: Chain, robots: Sequence[str], wall: float = math.inf) -> None:
     """Run the pattern on all robots, until `robots` drive at once, each with a free corridor.
+
+    Each of `robots` is then at most `wall` m from the nearest wall.
 
     After a wait of PATIENCE s without success, `robots` are carried to free corridors, and the
     bridge is restarted if a driver has a fault: a bridge may forget nodes some time after a crash.
@@ -143,7 +157,7 @@ def make_drive(chain: Chain, robots: Sequence[str]) -> None:
         return all(_driver(chain.status(robot)) == chain.usual for robot in ROBOTS)
 
     def is_ready() -> bool:
-        free = all(_is_free(chain, robot) for robot in robots)
+        free = all(_is_free(chain, robot, wall=wall) for robot in robots)
         has_delays = all(_has_delay(chain.status(robot)) for robot in robots)
         return _drives(chain, robots) and is_well() and free and has_delays
 
@@ -153,7 +167,7 @@ def make_drive(chain: Chain, robots: Sequence[str]) -> None:
         if wait(is_ready, PATIENCE) < math.inf:
             return
         for robot in robots:
-            _carry(chain, robot)
+            _carry(chain, robot, wall)
             if chain.speed(robot) < MOVING:
                 chain.restart_daemon(robot)
         if not is_well():
@@ -185,27 +199,40 @@ def _drives(chain: Chain, robots: Sequence[str]) -> bool:
     return is_running and all(chain.speed(robot) > MOVING for robot in robots)
 
 
-def _carry(chain: Chain, robot: str) -> None:
-    """Carry a robot to a pose with a free corridor, unless it has a free corridor already."""
-    if _is_free(chain, robot):
-        return
-    start = next((start for start in STARTS if _is_free(chain, robot, start)), STARTS[0])
+def _carry(chain: Chain, robot: str, wall: float = math.inf) -> bool:
+    """Carry a robot to a free corridor, unless it has one already; True if it was carried.
+
+    The corridor begins at most `wall` m from the nearest wall.
+    """
+    if _is_free(chain, robot, wall=wall):
+        return False
+    places = (start for start in STARTS if _is_free(chain, robot, start, wall))
+    start = next(places, STARTS[0])
     chain.carry(robot, start)
     wait(lambda: math.dist(chain.poses[robot][-1][1:3], start[:2]) < ASIDE, PATIENCE)
+    return True
 
 
-def _is_free(chain: Chain, robot: str, pose: tuple[float, float, float] | None = None) -> bool:
+def _is_free(
+    chain: Chain,
+    robot: str,
+    pose: tuple[float, float, float] | None = None,
+    wall: float = math.inf,
+) -> bool:
     """Whether no wall and no robot is in the corridor ahead of a robot.
 
-    `pose`: where the corridor begins; None: the robot's present pose.
+    `pose`: where the corridor begins; None: the robot's present pose. `wall`: m, the distance of
+    the nearest wall at most.
     """
     x, y, yaw = pose or chain.poses[robot][-1][1:]
     start = np.array((x, y))
     end = start + FREE * np.array((math.cos(yaw), math.sin(yaw)))
     arena = parse_arena(ARENA)
+    half = np.array((arena.length, arena.width)) / 2.0
     others = np.array([chain.poses[body][-1][1:3] for body in BODIES if body != robot])
-    is_inside = np.abs(end) < np.array((arena.length, arena.width)) / 2.0 - ASIDE
-    return bool(is_inside.all() and (apart(others, start, end) > ASIDE).all())
+    is_inside = np.abs(end) < half - ASIDE
+    is_near = (half - np.abs(start)).min() <= wall
+    return bool(is_near and is_inside.all() and (apart(others, start, end) > ASIDE).all())
 
 
 class _Looking:
