@@ -53,16 +53,20 @@ def hub(command: tuple[str, ...]) -> None:
 
 def run_hub(command: Sequence[str], outlives: float = OUTLIVES) -> int:
     """Run the program to its end, or until `outlives` s after a signal; returns the exit code."""
-    for number in _SIGNALS:
-        signal.signal(number, signal.SIG_IGN)  # the keeper and the hub inherit this
+    # A signal that comes before the handlers are there waits for them.
+    signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
     reader, writer = os.pipe()
     if (keeper := os.fork()) == 0:
+        for number in _SIGNALS:
+            signal.signal(number, signal.SIG_IGN)  # the hub inherits this
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
         os.close(writer)
         os.setsid()
         os._exit(_keep(command, reader, outlives))
     os.close(reader)
     for number in _SIGNALS:
         signal.signal(number, lambda *_: os.write(writer, b"."))
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
     _, status = os.waitpid(keeper, 0)
     return os.waitstatus_to_exitcode(status)
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 
@@ -55,6 +57,33 @@ def test_a_hub_outlives_the_zeros_of_a_robot_that_ends_with_it(
         assert time.monotonic() - began > ZEROS
         if code is not None:
             assert front.wait(CAP) == code
+
+
+SLOW = """import os, sys, time
+from swarmd.operator.cli.hub import run_hub
+fork = os.fork
+def slow_fork():
+    pid = fork()
+    time.sleep(1.0 if pid else 0.0)
+    return pid
+os.fork = slow_fork
+sys.exit(run_hub(sys.argv[1:], outlives=0.1))
+"""
+"""The first process goes on 1 s after the fork, as on a busy machine."""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_that_comes_as_the_hub_starts_is_not_lost(number: int) -> None:
+    command = [sys.executable, "-c", SLOW, *HUB]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as front:
+        assert front.stdout is not None
+        pid = int(front.stdout.readline())
+        try:
+            front.send_signal(number)
+            wait_until(lambda: not is_running(pid), "the hub has ended")
+            assert front.wait(CAP) == 0
+        finally:
+            front.kill()
 
 
 def test_a_hub_that_ends_by_itself_gives_its_exit_code() -> None:
